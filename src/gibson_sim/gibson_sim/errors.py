@@ -1,0 +1,77 @@
+"""The errors that this package raises on purpose.
+
+    GibsonSimError                 catch this one; its text is one line, fit for a user
+      ConfigError                  a setting has an impossible value
+      SceneError                   a scene cannot be loaded
+        SceneNotFoundError         nothing is there, or nothing that we can read
+        MeshError                  a mesh or a texture file is broken
+      RobotError                   a robot description cannot be used
+      CommandError                 a command cannot be executed (a NaN velocity)
+      PhysicsError                 the physics engine refused
+      RenderError                  the renderer refused
+        GraphicsUnavailableError   no EGL, no usable device
+        SceneMismatchError         a state belongs to another scene than the one loaded
+      RecordError                  a bag cannot be written or read
+      EnvironmentProblemError      ROS, Python or the machine lacks something; the text names the remedy
+      AlreadyRunningError          another simulation owns this ROS domain
+
+Messages say what, which value, what is allowed and what to do. Nothing here imports anything.
+"""
+
+from __future__ import annotations
+
+
+class GibsonSimError(Exception):
+    """Base of every error that this package raises on purpose."""
+
+
+class ConfigError(GibsonSimError):
+    """A setting has an impossible value."""
+
+
+class SceneError(GibsonSimError):
+    """A scene cannot be loaded."""
+
+
+class SceneNotFoundError(SceneError):
+    """Nothing is at the given place, or nothing that can be read as a scene."""
+
+
+class MeshError(SceneError):
+    """A mesh or a texture file is broken."""
+
+
+class RobotError(GibsonSimError):
+    """A robot description cannot be used."""
+
+
+class CommandError(GibsonSimError):
+    """A command cannot be executed."""
+
+
+class PhysicsError(GibsonSimError):
+    """The physics engine refused."""
+
+
+class RenderError(GibsonSimError):
+    """The renderer refused."""
+
+
+class GraphicsUnavailableError(RenderError):
+    """This machine offers no EGL, or no device that can draw."""
+
+
+class SceneMismatchError(RenderError):
+    """A state belongs to another scene than the one that is loaded."""
+
+
+class RecordError(GibsonSimError):
+    """A bag cannot be written or read."""
+
+
+class EnvironmentProblemError(GibsonSimError):
+    """ROS, Python or the machine lacks something; the message names the remedy."""
+
+
+class AlreadyRunningError(GibsonSimError):
+    """Another simulation owns this ROS domain."""

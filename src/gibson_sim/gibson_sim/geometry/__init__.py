@@ -1,0 +1,1 @@
+"""Transforms and projections. Knows types, nothing above."""

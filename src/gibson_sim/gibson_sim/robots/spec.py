@@ -1,0 +1,124 @@
+"""What a robot is: shapes on links, a drive, cameras and a lidar. Pure values; reading a URDF is in ``robots.urdf``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.types import CameraSpec, Pose, Rgba, Vec3
+
+ShapeKind = Literal["mesh", "box", "sphere", "cylinder"]
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """A piece of geometry in its own frame, z up, centred (primitives) or as its file has it (meshes)."""
+
+    kind: ShapeKind
+    size: Vec3 = (1.0, 1.0, 1.0)
+    """mesh: scale factors along x, y, z; box: edge lengths; sphere: (radius, 0, 0); cylinder about z: (radius, length, 0). Metres."""
+    mesh: str = ""
+    """Absolute path of the mesh file; empty for primitives."""
+
+
+@dataclass(frozen=True, slots=True)
+class VisualSpec:
+    """A shape to be drawn."""
+
+    name: str
+    """Unique in the scene."""
+    link: str
+    """Link that it is fixed to, as in ``SceneState.links``; empty = the world, so it never moves."""
+    shape: Shape
+    pose: Pose = field(default_factory=Pose)
+    """T_link_visual."""
+    color: Rgba | None = None
+    """Replaces the materials of the file (sRGB and alpha, each 0 to 1); None = as the file says."""
+    semantic_class: str = ""
+    """Class name; empty = unlabelled."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriveSpec:
+    """A differential drive: two wheels on one axle, driven by velocity."""
+
+    left_joint: str
+    right_joint: str
+    wheel_radius: float
+    """Metres."""
+    wheel_separation: float
+    """Metres between the contact points of the wheels."""
+    max_linear: float = 0.5
+    """m/s."""
+    max_angular: float = 2.0
+    """rad/s."""
+    max_linear_acceleration: float = 1.0
+    """m/s^2, speeding up and slowing down."""
+    max_angular_acceleration: float = 4.0
+    """rad/s^2."""
+    max_wheel_torque: float = 10.0
+    """N m."""
+
+    def __post_init__(self) -> None:
+        for name in (
+            "wheel_radius", "wheel_separation", "max_linear", "max_angular",
+            "max_linear_acceleration", "max_angular_acceleration", "max_wheel_torque",
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise ConfigError(f"drive: {name} is {value!r}, must be a finite number above 0")
+
+
+@dataclass(frozen=True, slots=True)
+class LidarSpec:
+    """A planar lidar: one turn of evenly spaced rays, the first along the link's x axis, counter-clockwise."""
+
+    link: str
+    """``<body>/<link>``; the rays leave from the origin of this link."""
+    beams: int = 360
+    range_min: float = 0.12
+    """Metres; nearer returns are reported as -inf (REP 117)."""
+    range_max: float = 12.0
+    """Metres; no return nearer than this is reported as +inf (REP 117)."""
+    rate_hz: float = 10.0
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.beams <= 100_000:
+            raise ConfigError(f"lidar on {self.link!r}: beams is {self.beams}, must be 1 to 100000")
+        if not 0.0 <= self.range_min < self.range_max:
+            raise ConfigError(
+                f"lidar on {self.link!r}: range_min is {self.range_min:g} and range_max {self.range_max:g}, "
+                "must be 0 <= range_min < range_max"
+            )
+        if not 0.0 < self.rate_hz <= 1000.0:
+            raise ConfigError(f"lidar on {self.link!r}: rate_hz is {self.rate_hz:g}, must be in (0, 1000]")
+
+
+@dataclass(frozen=True, slots=True)
+class RobotSpec:
+    """One robot, where it starts and what it carries."""
+
+    name: str
+    """Body name: its links are ``<name>/<link>``."""
+    urdf: Path
+    base_link: str
+    """Root link of the URDF, e.g. ``base_footprint``: the frame of odometry."""
+    links: tuple[str, ...]
+    """Names of all links, the root first, without the body name."""
+    visuals: tuple[VisualSpec, ...]
+    fixed_transforms: tuple[tuple[str, str, Pose], ...]
+    """(parent link, child link, T_parent_child) of every fixed joint: what goes to /tf_static."""
+    moving_joints: tuple[tuple[str, str, str], ...]
+    """(joint, parent link, child link) of every other joint, in the order of the URDF."""
+    drive: DriveSpec | None
+    radius: float
+    """Metres: the smallest circle about the base that holds the robot's footprint."""
+    height: float
+    """Metres above the floor."""
+    cameras: tuple[CameraSpec, ...] = ()
+    lidar: LidarSpec | None = None
+    start: Pose = field(default_factory=Pose)
+    """T_world_base at load and after a reset."""

@@ -1,0 +1,71 @@
+"""What a scene is: what is drawn, what is bumped into, where robots start. Pure values; reading files is in ``scenes.load``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from gibson_sim.robots.spec import RobotSpec, Shape, VisualSpec
+from gibson_sim.types import Pose, Vec3
+
+WORLD_FRAME = "map"
+"""Name in ROS of the world frame (REP 105)."""
+
+
+@dataclass(frozen=True, slots=True)
+class CollisionSpec:
+    """A static shape in the world that robots and rays hit."""
+
+    name: str
+    shape: Shape
+    pose: Pose = field(default_factory=Pose)
+    """T_world_shape."""
+
+
+@dataclass(frozen=True, slots=True)
+class StartPose:
+    """A named place where a robot can start, on the floor."""
+
+    name: str
+    pose: Pose
+
+
+@dataclass(frozen=True, slots=True)
+class LightSpec:
+    """How surfaces without baked light are lit."""
+
+    sun_direction: Vec3 = (0.4, 0.3, -0.85)
+    """World frame, the way the light travels; need not be a unit vector."""
+    sun: float = 0.55
+    """Strength of the directional light, linear, 1 = white surfaces facing it become white."""
+    ambient: float = 0.5
+    """Strength of the light from everywhere, linear."""
+    background: Vec3 = (0.70, 0.76, 0.82)
+    """Colour where nothing is, sRGB, 0 to 1."""
+
+
+@dataclass(frozen=True, slots=True)
+class SceneSpec:
+    """A scene with its robots. The world frame has z up (REP 103), metres."""
+
+    name: str
+    root: Path
+    """Folder that all its files lie in."""
+    content_hash: str
+    """Hex digest of the scene's description and files; equal hash = equal scene."""
+    visuals: tuple[VisualSpec, ...]
+    """Static: ``link`` is empty."""
+    collisions: tuple[CollisionSpec, ...]
+    ground_z: float | None = None
+    """Height of an endless ground plane for physics, metres; None = no such plane."""
+    floor_z: float = 0.0
+    """Height of the floor that robots start on, metres."""
+    gravity: Vec3 = (0.0, 0.0, -9.81)
+    """m/s^2."""
+    starts: tuple[StartPose, ...] = ()
+    light: LightSpec = field(default_factory=LightSpec)
+    robots: tuple[RobotSpec, ...] = ()
+    warnings: tuple[str, ...] = ()
+    """What could not be loaded and was left out or replaced, one line each."""
+    revision: int = 1
+    """Counts what was added or removed since load."""
