@@ -6,10 +6,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from gibson_sim.robots.spec import RobotSpec, Shape, VisualSpec
-from gibson_sim.types import Pose, Vec3
+from gibson_sim.types import CameraSpec, Pose, Vec3
 
 WORLD_FRAME = "map"
 """Name in ROS of the world frame (REP 105)."""
+UNLABELLED = "unlabelled"
+"""Name of semantic class 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,3 +71,36 @@ class SceneSpec:
     """What could not be loaded and was left out or replaced, one line each."""
     revision: int = 1
     """Counts what was added or removed since load."""
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnScene:
+    """The half of a scene that a renderer needs: what travels as ``gibson_msgs/Scene``."""
+
+    name: str
+    revision: int
+    content_hash: str
+    links: tuple[str, ...]
+    """Names of all moving links, in the order of ``SceneState.links``."""
+    visuals: tuple[VisualSpec, ...]
+    cameras: tuple[CameraSpec, ...]
+    """In the order that ``due_cameras`` counts."""
+    light: LightSpec
+
+    @property
+    def semantic_classes(self) -> tuple[str, ...]:
+        """Class names in alphabetical order after ``unlabelled``: the index is the class."""
+        return (UNLABELLED, *sorted({v.semantic_class for v in self.visuals} - {"", UNLABELLED}))
+
+
+def drawn_scene(scene: SceneSpec, links: tuple[str, ...]) -> DrawnScene:
+    """Returns what a renderer needs of ``scene``, whose moving links are ``links``."""
+    return DrawnScene(
+        name=scene.name,
+        revision=scene.revision,
+        content_hash=scene.content_hash,
+        links=links,
+        visuals=scene.visuals + tuple(v for robot in scene.robots for v in robot.visuals),
+        cameras=tuple(c for robot in scene.robots for c in robot.cameras),
+        light=scene.light,
+    )

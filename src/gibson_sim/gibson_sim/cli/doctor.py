@@ -1,0 +1,178 @@
+"""``gibson-sim doctor``: what works on this machine, each with its remedy where it does not.
+
+Whatever may crash or hang (drivers, ROS) is tried in a process of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from gibson_sim import __version__
+from gibson_sim.cli.environment import PROFILE_VARIABLE, dds_profile, domain_of, in_wheels, node_environment
+from gibson_sim.cli.processes import DomainLock
+from gibson_sim.errors import AlreadyRunningError, GibsonSimError
+
+Status = Literal["ok", "warn", "FAIL"]
+TIMEOUT_S = 60.0
+SHM_WANTED_MB, DISK_WANTED_MB = 256, 2000
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report."""
+
+    what: str
+    status: Status
+    detail: str
+    remedy: str = ""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Adds the sub-command."""
+    parser = subparsers.add_parser("doctor", help="check Python, ROS, graphics, DDS and disk, and say how to mend what does not work")
+    parser.add_argument("--json", action="store_true", help="as JSON")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Prints what was found; returns 1 if something fails."""
+    findings = []
+    for check in (_python, _ros, _physics, _graphics, _dds, _shared_memory, _disk, _domain):
+        for finding in check():
+            findings.append(finding)
+            if not args.json:
+                remedy = f"\n         -> {finding.remedy}" if finding.remedy else ""
+                print(f"{finding.status:>4}  {finding.what}: {finding.detail}{remedy}", flush=True)
+    if args.json:
+        print(json.dumps([vars(f) for f in findings], indent=2))
+    return 1 if any(f.status == "FAIL" for f in findings) else 0
+
+
+def _python() -> Iterator[Finding]:
+    version = sys.version.split()[0]
+    good = (3, 10) <= sys.version_info[:2] <= (3, 12)
+    yield Finding(
+        "Python",
+        "ok" if good else "warn",
+        f"{version} at {sys.executable}, gibson-sim {__version__}",
+        "" if good else "CPython 3.10 to 3.12 are tested: make a new environment with `PYTHON=python3.12 make setup`",
+    )
+
+
+def _try(code: str) -> tuple[bool, str]:
+    """Runs a Python program with the nodes' environment; returns whether it worked, and its last line."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", code], env=node_environment(), capture_output=True, text=True, timeout=TIMEOUT_S, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return False, f"no answer within {TIMEOUT_S:.0f} s"
+    except GibsonSimError as error:
+        return False, str(error)
+    lines = [line for line in (done.stdout if done.returncode == 0 else done.stderr + done.stdout).splitlines() if line.strip()]
+    return done.returncode == 0, lines[-1] if lines else f"exit code {done.returncode}, and it said nothing"
+
+
+def _ros() -> Iterator[Finding]:
+    source = "from pip" if in_wheels() else "from the ROS installation"
+    ok, text = _try("import rclpy; rclpy.init(); print(rclpy.get_rmw_implementation_identifier()); rclpy.try_shutdown()")
+    yield Finding("rclpy", "ok" if ok else "FAIL", f"{source}, {text}" if ok else text, "" if ok else "run `make setup`, or source your ROS 2 Jazzy installation")
+    for package, needed in (("gibson_msgs", True), ("tf2_msgs", True), ("simulation_interfaces", False)):
+        ok, text = _try(f"import {package}; print({package}.__path__[0])")
+        remedy = "" if ok else "run `make setup`, or build the workspace: cd ros_ws && colcon build, then source install/setup.bash"
+        yield Finding(package, "ok" if ok else ("FAIL" if needed else "warn"), text, remedy)
+
+
+def _physics() -> Iterator[Finding]:
+    ok, text = _try("import pybullet as p; c = p.connect(p.DIRECT); print('PyBullet', p.getAPIVersion(c))")
+    yield Finding("physics", "ok" if ok else "FAIL", text, "" if ok else "run `make setup`; on CPython 3.12 PyBullet is compiled, which takes some minutes")
+
+
+_DEVICES = """
+import json
+from gibson_sim.render.context import list_devices
+print(json.dumps([{"index": d.index, "text": d.describe(), "usable": d.usable} for d in list_devices()]))
+"""
+_DRAW = """
+from gibson_sim.render.self_test import self_test
+print(self_test())
+"""
+
+
+def _graphics() -> Iterator[Finding]:
+    remedy = "Debian/Ubuntu: apt install libegl1 libegl-mesa0 libgl1-mesa-dri; NVIDIA in a container: give it the graphics capability"
+    ok, text = _try(_DEVICES)
+    if not ok:
+        yield Finding("EGL", "FAIL", text, remedy)
+        return
+    devices = json.loads(text)
+    if not any(d["usable"] for d in devices):
+        yield Finding("EGL", "FAIL", f"{len(devices)} devices, none can draw", remedy)
+    for device in devices:
+        yield Finding(f"EGL device {device['index']}", "ok" if device["usable"] else "warn", device["text"])
+    ok, text = _try(_DRAW)
+    yield Finding("drawing", "ok" if ok else "FAIL", text, "" if ok else remedy)
+
+
+def _dds() -> Iterator[Finding]:
+    profile = os.environ.get(PROFILE_VARIABLE)
+    try:
+        ours = str(dds_profile())
+    except GibsonSimError as error:
+        yield Finding("DDS profile", "FAIL", str(error), "reinstall, or set FASTRTPS_DEFAULT_PROFILES_FILE to config/fastdds.xml")
+        return
+    if profile and profile != ours:
+        yield Finding("DDS profile", "warn", f"yours: {profile}", f"if images arrive late or with gaps, use {ours}")
+    else:
+        yield Finding("DDS profile", "ok", ours)
+    ok, text = _try("from gibson_sim.ros.dds_check import main; main()")
+    yield Finding("large images", "ok" if ok else "FAIL", text, "" if ok else "is a firewall or a foreign DDS profile in the way? try ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST")
+
+
+def _free_mb(path: Path) -> float:
+    return shutil.disk_usage(path).free / 1e6
+
+
+def _shared_memory() -> Iterator[Finding]:
+    folder = Path("/dev/shm")
+    if not folder.is_dir():
+        yield Finding("shared memory", "warn", "no /dev/shm: images go over the network stack", "")
+        return
+    free = _free_mb(folder)
+    yield Finding(
+        "shared memory",
+        "ok" if free >= SHM_WANTED_MB else "warn",
+        f"{free:.0f} MB free in {folder}",
+        "" if free >= SHM_WANTED_MB else f"less than {SHM_WANTED_MB} MB: in Docker give --shm-size=512m or --ipc=host",
+    )
+
+
+def _disk() -> Iterator[Finding]:
+    for name, path in (("disk here", Path.cwd()), ("temporary files", Path(tempfile.gettempdir()))):
+        free = _free_mb(path)
+        good = free >= DISK_WANTED_MB
+        yield Finding(name, "ok" if good else "warn", f"{free / 1000:.1f} GB free in {path}", "" if good else "a minute of raw 640x480 RGB and depth takes 4 GB")
+
+
+def _domain() -> Iterator[Finding]:
+    try:
+        domain_id = domain_of(os.environ)
+        DomainLock(domain_id).close()
+    except AlreadyRunningError as error:
+        yield Finding("domain", "warn", str(error))
+    except GibsonSimError as error:
+        yield Finding("domain", "FAIL", str(error), "unset ROS_DOMAIN_ID")
+    else:
+        yield Finding("domain", "ok", f"ROS_DOMAIN_ID {domain_id}, no simulation of ours runs in it")
+
+

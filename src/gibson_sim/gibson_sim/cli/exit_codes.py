@@ -1,0 +1,31 @@
+"""Exit codes of ``gibson-sim``; ``--help`` prints this table."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """What the exit code says."""
+
+    OK = 0
+    ERROR = 1
+    USAGE = 2
+    ALREADY_RUNNING = 3
+    NODE_DIED = 4
+    RECORDING_ENDED_EARLY = 5
+
+
+MEANING = {
+    ExitCode.OK: "done, or stopped by Ctrl-C or SIGTERM",
+    ExitCode.ERROR: "it cannot be done: one line on stderr says why",
+    ExitCode.USAGE: "the command line is wrong",
+    ExitCode.ALREADY_RUNNING: "a simulation runs in this ROS domain already",
+    ExitCode.NODE_DIED: "a node crashed or was killed",
+    ExitCode.RECORDING_ENDED_EARLY: "the run went on, but recording stopped early (disk full); the bag is readable",
+}
+
+
+def table() -> str:
+    """Returns the codes as text, one a line."""
+    return "exit codes:\n" + "\n".join(f"  {int(code)}  {text}" for code, text in MEANING.items())

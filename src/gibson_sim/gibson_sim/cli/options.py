@@ -1,0 +1,58 @@
+"""Command-line options from the settings of the nodes, and arguments for a node process from settings."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable
+from dataclasses import fields
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+
+def add_settings(parser: argparse.ArgumentParser, cls: type[Any], names: Iterable[str]) -> None:
+    """Adds one option per named field of the settings class ``cls``: ``step_hz`` becomes ``--step-hz``."""
+    wanted = set(names)
+    for f in fields(cls):
+        if f.name not in wanted:
+            continue
+        wanted.discard(f.name)
+        unit = f" [{f.metadata['unit']}]" if f.metadata["unit"] else ""
+        text = f"{f.metadata['doc']}{unit} (default: {f.default!r})".replace("%", "%%")
+        flag = "--" + f.name.replace("_", "-")
+        if isinstance(f.default, bool):
+            parser.add_argument(flag, dest=f.name, action=argparse.BooleanOptionalAction, default=None, help=text)
+        else:
+            parser.add_argument(flag, dest=f.name, type=_parser_of(f.name, type(f.default)), default=None, metavar="X", help=text)
+    assert not wanted, f"{cls.__name__} has no settings {sorted(wanted)}"
+
+
+def _parser_of(name: str, kind: type[Any]) -> Any:
+    """Returns what turns text into the setting's type; ``max`` is a rate of 0, as fast as possible."""
+    if name == "rate":
+
+        def rate(text: str) -> float:
+            return 0.0 if text == "max" else float(text)
+
+        return rate
+    return kind
+
+
+def settings_from_args(cls: type[T], args: argparse.Namespace, **given: Any) -> T:
+    """Returns ``cls`` with the options that were given; ``given`` wins over them.
+
+    Raises:
+        ConfigError: a value is not allowed.
+    """
+    names = [f.name for f in fields(cls)]  # type: ignore[arg-type]
+    values = {n: getattr(args, n) for n in names if getattr(args, n, None) is not None}
+    return cls(**{**values, **given})
+
+
+def node_arguments(config: Any) -> list[str]:
+    """Returns the ROS arguments that give a node these settings. JSON is YAML, and quotes whatever needs it."""
+    arguments = ["--ros-args"]
+    for f in fields(config):
+        arguments += ["-p", f"{f.name}:={json.dumps(getattr(config, f.name))}"]
+    return arguments

@@ -1,0 +1,129 @@
+"""Node processes: start, listen to, stop; and one simulation at a time in a ROS domain."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TextIO
+
+from gibson_sim.cli.options import node_arguments
+from gibson_sim.errors import AlreadyRunningError
+
+GRACE_S = ((signal.SIGINT, 20.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 5.0))
+"""Signals to stop a node with, and how long each may take."""
+
+
+class NodeProcess:
+    """One node in a process of its own; its lines come out on our stderr with its name before them."""
+
+    def __init__(self, name: str, config: Any, environment: Mapping[str, str], *, out: TextIO = sys.stderr) -> None:
+        """Starts the node ``<name>_node`` with its settings."""
+        self.name, self.config, self._environment, self._out = name, config, dict(environment), out
+        self.killed = False
+        """Whether it had to be killed, so that it could not clean up."""
+        self._tail: deque[str] = deque(maxlen=20)
+        command = [sys.executable, "-m", f"gibson_sim.ros.{name}_node", *node_arguments(config)]
+        # A session of its own: Ctrl-C reaches the launcher alone, which then stops the nodes in order.
+        self._process = subprocess.Popen(
+            command,
+            env=self._environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+        )
+        self._reader = threading.Thread(target=self._read, name=f"{name}-output", daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self._tail.append(line.rstrip())
+            self._out.write(f"{self.name:8} | {line.rstrip()}\n")
+            self._out.flush()
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    def poll(self) -> int | None:
+        """Returns the exit code, negative for a signal, or None while it runs."""
+        return self._process.poll()
+
+    def last_error(self) -> str:
+        """Returns the last line that reports an error, else the last line."""
+        self._reader.join(timeout=1.0)
+        errors = [line.removeprefix("error: ") for line in self._tail if line.startswith("error: ")]
+        return errors[-1] if errors else next((line for line in reversed(self._tail) if line), "it said nothing")
+
+    def stop(self, hurry: Callable[[], bool] = lambda: False) -> int:
+        """Ends the process and returns its exit code; ``hurry`` returning True shortens the waiting."""
+        for number, seconds in GRACE_S:
+            if self._process.poll() is not None:
+                break
+            self.killed = number == signal.SIGKILL
+            self._process.send_signal(number)
+            deadline = time.monotonic() + seconds
+            while self._process.poll() is None and time.monotonic() < deadline and not hurry():
+                time.sleep(0.02)
+        self._reader.join(timeout=1.0)
+        return self._process.wait()
+
+
+class DomainLock:
+    """Held by the one simulation of a ROS domain on this machine; the kernel frees it however the holder ends."""
+
+    def __init__(self, domain_id: int, folder: Path | None = None) -> None:
+        """Takes the lock.
+
+        Raises:
+            AlreadyRunningError: another process holds it.
+        """
+        self.path = (folder or Path(tempfile.gettempdir())) / f"gibson-sim-domain-{domain_id}.lock"
+        self._file: int | None = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            holder = os.read(self._file, 32).decode(errors="replace").strip()
+            os.close(self._file)
+            self._file = None
+            raise AlreadyRunningError(
+                f"a simulation runs in ROS domain {domain_id} already (process {holder or 'unknown'}): "
+                "stop it, or choose another domain with --domain-id"
+            ) from None
+        os.ftruncate(self._file, 0)
+        os.write(self._file, str(os.getpid()).encode())
+
+    def close(self) -> None:
+        """Frees the lock."""
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
+
+
+class StopRequest:
+    """Notes SIGINT and SIGTERM while it is open, instead of being interrupted by them."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._before = {s: signal.signal(s, self._on_signal) for s in (signal.SIGINT, signal.SIGTERM)}
+
+    def _on_signal(self, number: int, frame: object) -> None:
+        self.count += 1
+
+    def close(self) -> None:
+        """Restores what was there before."""
+        for number, handler in self._before.items():
+            signal.signal(number, handler)

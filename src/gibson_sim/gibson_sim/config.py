@@ -1,0 +1,156 @@
+"""The settings of every node: each stands once, with its unit, limits and meaning.
+
+The same dataclass is filled from ROS parameters (``ros/params.py``), from command-line options (``cli``) and from Python, and is
+printed as a table by ``gibson-sim params --markdown``. An impossible value fails with the same words everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import Field, dataclass, field, fields
+from typing import Any, ClassVar, Protocol
+
+from gibson_sim.errors import ConfigError
+
+Value = bool | int | float | str
+
+
+class Settings(Protocol):
+    """A frozen dataclass whose fields were made with ``setting``."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+
+def setting(
+    default: Value, doc: str, *, unit: str = "", minimum: float = -math.inf, maximum: float = math.inf, choices: tuple[str, ...] = ()
+) -> Any:
+    """Returns a dataclass field with its default, meaning, unit and limits; the type of the default is the field's type."""
+    return field(
+        default=default,
+        metadata={"doc": doc, "unit": unit, "minimum": minimum, "maximum": maximum, "choices": choices},
+    )
+
+
+def check_settings(settings: Settings) -> None:
+    """Checks type, limits and choices of every field.
+
+    Raises:
+        ConfigError: naming the field, its value and what is allowed.
+    """
+    for f in fields(settings):  # type: ignore[arg-type]
+        value, what = getattr(settings, f.name), f"setting {f.name!r}"
+        wanted = type(f.default)
+        if wanted is float and type(value) is int:
+            value = float(value)
+            object.__setattr__(settings, f.name, value)
+        if type(value) is not wanted:
+            raise ConfigError(f"{what} is {value!r} ({type(value).__name__}), must be of type {wanted.__name__}")
+        if isinstance(value, (int, float)) and not f.metadata["minimum"] <= value <= f.metadata["maximum"]:
+            limits = f"{f.metadata['minimum']:g} to {f.metadata['maximum']:g} {f.metadata['unit']}".strip()
+            raise ConfigError(f"{what} is {value!r}, must be {limits}")
+        if f.metadata["choices"] and value not in f.metadata["choices"]:
+            raise ConfigError(f"{what} is {value!r}, must be one of {', '.join(f.metadata['choices'])}")
+
+
+@dataclass(frozen=True, slots=True)
+class PhysicsConfig:
+    """Settings of the physics node."""
+
+    scene: str = setting("flat", "Scene: a name, a folder with scene.yaml, a world file (SDF, Drake directives) or a mesh file")
+    robot: str = setting("gibson_bot", "Robot: a name, a folder with robot.yaml, or that file")
+    start: str = setting("", "Where the robot starts: the name of a start pose, or x,y,yaw_deg; empty = the scene's first, or the most open place")  # fmt: skip
+    step_hz: int = setting(240, "Physics steps in a second of simulation time", unit="Hz", minimum=60, maximum=10_000)
+    clock_hz: int = setting(120, "Rate of /clock in simulation time; must divide step_hz", unit="Hz", minimum=1, maximum=1000)
+    publish_hz: int = setting(60, "Rate of tf, odometry, joint states and scene state; must divide clock_hz", unit="Hz", minimum=1, maximum=1000)  # fmt: skip
+    rate: float = setting(1.0, "Speed of simulation time against wall time; 0 = as fast as possible", minimum=0.0, maximum=1000.0)
+    duration: float = setting(0.0, "End after so much simulation time; 0 = never", unit="s", minimum=0.0)
+    cmd_vel_timeout: float = setting(0.5, "A velocity command older than this (simulation time) stops the robot", unit="s", minimum=0.01, maximum=60.0)  # fmt: skip
+    publish_map_tf: bool = setting(False, "Publish map -> odom from ground truth: a perfect localiser. Leave it off where AMCL or SLAM runs")  # fmt: skip
+    camera_rate: float = setting(0.0, "Images a second for every camera; 0 = as the robot's file says", unit="Hz", minimum=0.0, maximum=1000.0)  # fmt: skip
+    wait_for: str = setting("", "Hold the first tick until topics have so many subscribers, e.g. `scene_state:1,odom:2` (120 s at most)")  # fmt: skip
+    summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        for fine, coarse in (("step_hz", "clock_hz"), ("clock_hz", "publish_hz")):
+            if getattr(self, fine) % getattr(self, coarse):
+                raise ConfigError(
+                    f"setting {coarse!r} is {getattr(self, coarse)} Hz, must divide {fine!r}, which is {getattr(self, fine)} Hz"
+                )
+        if self.camera_rate > self.publish_hz:
+            raise ConfigError(f"setting 'camera_rate' is {self.camera_rate:g} Hz, must be at most 'publish_hz', {self.publish_hz} Hz")
+        self.wanted_subscribers()
+
+    def wanted_subscribers(self) -> dict[str, int]:
+        """Returns how many subscribers each topic of ``wait_for`` must have."""
+        wanted = {}
+        for part in filter(None, self.wait_for.split(",")):
+            topic, _, count = part.partition(":")
+            if not topic or not count.isdigit():
+                raise ConfigError(f"setting 'wait_for' has {part!r}, must be topic:count, e.g. scene_state:1")
+            wanted[topic] = int(count)
+        return wanted
+
+
+@dataclass(frozen=True, slots=True)
+class RenderConfig:
+    """Settings of the render node."""
+
+    egl_device: int = setting(-1, "EGL device to draw with, as listed by `gibson-sim doctor`; -1 = a GPU if there is one, else software", minimum=-1, maximum=255)  # fmt: skip
+    cameras: str = setting("", "Names of the cameras to draw, separated by commas; empty = all of the scene")
+    summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True, slots=True)
+class DriveConfig:
+    """Settings of the drive node: a client that drives the robot by standard topics."""
+
+    drive: str = setting("tour", "tour, forward, square, spin, keyboard, or a file with lines `linear angular seconds`")
+    scene: str = setting("flat", "Scene to plan the tour in; only for tour")
+    robot: str = setting("gibson_bot", "Robot whose size the tour keeps clear; only for tour")
+    length: float = setting(30.0, "Length of the tour or of the straight drive", unit="m", minimum=0.1, maximum=10_000.0)
+    linear: float = setting(0.4, "Greatest forward speed", unit="m/s", minimum=0.01, maximum=10.0)
+    angular: float = setting(1.2, "Greatest turning speed", unit="rad/s", minimum=0.01, maximum=20.0)
+    stamped: bool = setting(False, "Send TwistStamped instead of Twist")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordConfig:
+    """Settings of the record node."""
+
+    output: str = setting("", "Folder of the bag; it must not exist, or be empty")
+    topics: str = setting("", "Topics to record, separated by commas; empty = all")
+    compression: str = setting("none", "Compression of the bag's chunks", choices=("none", "zstd", "lz4"))
+    reserve_mb: int = setting(256, "Stop recording, bag intact, when the disk has less than this left", unit="MB", minimum=1)
+    duration: float = setting(0.0, "End after so much simulation time; 0 = never", unit="s", minimum=0.0)
+    summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True, slots=True)
+class SnapshotConfig:
+    """Settings of the snapshot node."""
+
+    output: str = setting(".", "Folder for the PNG files")
+    timeout: float = setting(30.0, "Give up when a camera sent nothing for so long (wall time)", unit="s", minimum=0.1)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+NODE_CONFIGS: dict[str, type[Any]] = {
+    "physics": PhysicsConfig,
+    "render": RenderConfig,
+    "drive": DriveConfig,
+    "record": RecordConfig,
+    "snapshot": SnapshotConfig,
+}
+"""Node name -> its settings."""

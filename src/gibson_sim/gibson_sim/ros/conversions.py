@@ -1,0 +1,362 @@
+"""Messages from values and values from messages: the only place that knows what the messages look like inside.
+
+``x_to_msg`` makes a message, ``x_from_msg`` reads one. Stamps are copied from the data that a message describes, never taken
+from a clock. Large arrays are copied once, as bytes: a list or an ndarray in a message field costs tens of milliseconds.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Pose as RosPose
+from geometry_msgs.msg import TransformStamped, Twist, Vector3
+from gibson_msgs.msg import Camera as RosCamera
+from gibson_msgs.msg import Scene as RosScene
+from gibson_msgs.msg import SceneState as RosSceneState
+from gibson_msgs.msg import Visual as RosVisual
+from nav_msgs.msg import Odometry as RosOdometry
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, Image, JointState, LaserScan
+from std_msgs.msg import ColorRGBA, Header
+
+from gibson_sim.errors import SceneError
+from gibson_sim.geometry.transforms import quat_from_rpy
+from gibson_sim.robots.spec import Shape, ShapeKind, VisualSpec
+from gibson_sim.scenes.spec import UNLABELLED, WORLD_FRAME, DrawnScene, LightSpec
+from gibson_sim.sensors.lidar import Scan
+from gibson_sim.types import (
+    NS_PER_S,
+    OUTPUTS,
+    CameraSpec,
+    Frame,
+    JointStates,
+    Odometry,
+    Pose,
+    SceneState,
+    Vec3,
+    VelocityCommand,
+)
+
+_SHAPES: dict[ShapeKind, int] = {
+    "mesh": RosVisual.SHAPE_MESH,
+    "box": RosVisual.SHAPE_BOX,
+    "sphere": RosVisual.SHAPE_SPHERE,
+    "cylinder": RosVisual.SHAPE_CYLINDER,
+}
+_SHAPE_KINDS = {number: kind for kind, number in _SHAPES.items()}
+
+
+def time_to_msg(stamp_ns: int) -> Time:
+    """Returns the stamp of a whole number of nanoseconds."""
+    return Time(sec=stamp_ns // NS_PER_S, nanosec=stamp_ns % NS_PER_S)
+
+
+def time_from_msg(msg: Time) -> int:
+    """Returns nanoseconds."""
+    return int(msg.sec) * NS_PER_S + int(msg.nanosec)
+
+
+def header_to_msg(stamp_ns: int, frame_id: str) -> Header:
+    """Returns a header with the stamp of the data and its frame."""
+    return Header(stamp=time_to_msg(stamp_ns), frame_id=frame_id)
+
+
+def _vector_to_msg(v: Any) -> Vector3:
+    return Vector3(x=float(v[0]), y=float(v[1]), z=float(v[2]))
+
+
+def _vector_from_msg(msg: Vector3) -> Vec3:
+    return (msg.x, msg.y, msg.z)
+
+
+def pose_to_msg(pose: Pose) -> RosPose:
+    """Returns the pose as a message."""
+    msg = RosPose()
+    msg.position.x, msg.position.y, msg.position.z = pose.position
+    msg.orientation.x, msg.orientation.y, msg.orientation.z, msg.orientation.w = pose.quat_xyzw
+    return msg
+
+
+def pose_from_msg(msg: RosPose) -> Pose:
+    """Returns the pose of a message whose quaternion has length 1."""
+    p, q = msg.position, msg.orientation
+    return Pose((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+
+
+def transform_to_msg(stamp_ns: int, parent: str, child: str, pose: Pose) -> TransformStamped:
+    """Returns T_parent_child for tf."""
+    msg = TransformStamped(header=header_to_msg(stamp_ns, parent), child_frame_id=child)
+    t, r = msg.transform.translation, msg.transform.rotation
+    t.x, t.y, t.z = pose.position
+    r.x, r.y, r.z, r.w = pose.quat_xyzw
+    return msg
+
+
+def velocity_from_msg(msg: Twist, stamp_ns: int) -> VelocityCommand:
+    """Returns the command in a Twist that arrived at ``stamp_ns``.
+
+    Raises:
+        CommandError: a number is NaN or infinite.
+    """
+    return VelocityCommand(_vector_from_msg(msg.linear), _vector_from_msg(msg.angular), stamp_ns)
+
+
+def scene_to_msg(scene: DrawnScene, stamp_ns: int) -> RosScene:
+    """Returns the scene as a message."""
+    link_index = {name: i for i, name in enumerate(scene.links)}
+    link_index[""] = -1
+    class_index = {name: i for i, name in enumerate(scene.semantic_classes)}
+    class_index[""] = 0
+    light = scene.light
+    return RosScene(
+        header=header_to_msg(stamp_ns, WORLD_FRAME),
+        name=scene.name,
+        revision=scene.revision,
+        content_hash=scene.content_hash,
+        links=list(scene.links),
+        visuals=[_visual_to_msg(v, link_index[v.link], class_index[v.semantic_class]) for v in scene.visuals],
+        cameras=[_camera_to_msg(c, link_index[c.link]) for c in scene.cameras],
+        semantic_classes=list(scene.semantic_classes),
+        sun_direction=_vector_to_msg(light.sun_direction),
+        sun=light.sun,
+        ambient=light.ambient,
+        background=_color_to_msg((*light.background, 1.0)),
+    )
+
+
+def scene_from_msg(msg: RosScene) -> DrawnScene:
+    """Returns the scene in a message.
+
+    Raises:
+        SceneError: an index points nowhere or a shape is unknown.
+    """
+    links = tuple(msg.links)
+
+    def pick(names: tuple[str, ...], index: int, what: str) -> str:
+        if not 0 <= index < len(names):
+            raise SceneError(f"scene {msg.name!r}: {what} {index} is out of range, there are {len(names)}")
+        return names[index]
+
+    def link_name(index: int) -> str:
+        return "" if index == -1 else pick(links, index, "link")
+
+    classes = tuple(msg.semantic_classes)
+    visuals = []
+    for v in msg.visuals:
+        if v.shape not in _SHAPE_KINDS:
+            raise SceneError(f"scene {msg.name!r}: visual {v.name!r} has shape {v.shape}, known: {sorted(_SHAPE_KINDS)}")
+        color = (v.color.r, v.color.g, v.color.b, v.color.a) if v.color.a > 0 else None
+        semantic_class = pick(classes, v.semantic_class, "semantic class")
+        visuals.append(
+            VisualSpec(
+                name=v.name,
+                link=link_name(v.link),
+                shape=Shape(_SHAPE_KINDS[v.shape], _vector_from_msg(v.size), v.mesh),
+                pose=pose_from_msg(v.pose),
+                color=color,
+                semantic_class="" if semantic_class == UNLABELLED else semantic_class,
+            )
+        )
+    cameras = tuple(
+        CameraSpec(
+            name=c.name,
+            link=link_name(c.link),
+            pose=pose_from_msg(c.pose),
+            width=c.width,
+            height=c.height,
+            fov_y=c.fov_y,
+            near=c.near,
+            far=c.far,
+            rate_hz=c.rate,
+            outputs=tuple(o for o in OUTPUTS if o in c.outputs),
+        )
+        for c in msg.cameras
+    )
+    b = msg.background
+    light = LightSpec(_vector_from_msg(msg.sun_direction), msg.sun, msg.ambient, (b.r, b.g, b.b))
+    return DrawnScene(msg.name, msg.revision, msg.content_hash, links, tuple(visuals), cameras, light)
+
+
+def _visual_to_msg(visual: VisualSpec, link: int, semantic_class: int) -> RosVisual:
+    return RosVisual(
+        name=visual.name,
+        link=link,
+        shape=_SHAPES[visual.shape.kind],
+        mesh=visual.shape.mesh,
+        size=_vector_to_msg(visual.shape.size),
+        pose=pose_to_msg(visual.pose),
+        color=_color_to_msg(visual.color or (0.0, 0.0, 0.0, 0.0)),
+        semantic_class=semantic_class,
+    )
+
+
+def _color_to_msg(rgba: tuple[float, float, float, float]) -> ColorRGBA:
+    return ColorRGBA(r=float(rgba[0]), g=float(rgba[1]), b=float(rgba[2]), a=float(rgba[3]))
+
+
+def _camera_to_msg(camera: CameraSpec, link: int) -> RosCamera:
+    return RosCamera(
+        name=camera.name,
+        link=link,
+        pose=pose_to_msg(camera.pose),
+        frame_id=camera.optical_frame,
+        width=camera.width,
+        height=camera.height,
+        fov_y=camera.fov_y,
+        near=camera.near,
+        far=camera.far,
+        rate=camera.rate_hz,
+        outputs=list(camera.outputs),
+    )
+
+
+def scene_state_to_msg(state: SceneState, due_cameras: tuple[int, ...]) -> RosSceneState:
+    """Returns the state as a message."""
+    msg = RosSceneState(header=header_to_msg(state.stamp_ns, WORLD_FRAME), revision=state.revision, step=state.step)
+    msg.poses = array("d", np.hstack([state.positions, state.quats_xyzw]).tobytes())
+    msg.twists = array("d", state.twists.tobytes())
+    msg.due_cameras = array("I", due_cameras)
+    return msg
+
+
+def scene_state_from_msg(msg: RosSceneState, links: tuple[str, ...]) -> SceneState:
+    """Returns the state in a message, whose links are those of its scene.
+
+    Raises:
+        ConfigError: the arrays do not have as many rows as there are links.
+    """
+    poses = np.array(msg.poses, dtype=np.float64).reshape(-1, 7)
+    twists = np.array(msg.twists, dtype=np.float64).reshape(-1, 6) if msg.twists else np.zeros((len(poses), 6))
+    return SceneState(
+        stamp_ns=time_from_msg(msg.header.stamp),
+        step=msg.step,
+        revision=msg.revision,
+        links=links,
+        positions=poses[:, :3],
+        quats_xyzw=poses[:, 3:],
+        twists=twists,
+    )
+
+
+def odometry_to_msg(odometry: Odometry, stamp_ns: int, parent: str, child: str) -> RosOdometry:
+    """Returns wheel odometry: pose in ``parent``, twist in ``child``. Covariances are those of good wheels on a hard floor."""
+    msg = RosOdometry(header=header_to_msg(stamp_ns, parent), child_frame_id=child)
+    msg.pose.pose = pose_to_msg(odometry_pose(odometry))
+    msg.twist.twist.linear.x = odometry.linear
+    msg.twist.twist.angular.z = odometry.angular
+    # A planar base says nothing of z, roll and pitch: a filter must not trust them, nor divide by zero.
+    msg.pose.covariance = _diagonal((1e-3, 1e-3, 1e6, 1e6, 1e6, 1e-3))
+    msg.twist.covariance = _diagonal((1e-4, 1e-4, 1e6, 1e6, 1e6, 1e-4))
+    return msg
+
+
+def odometry_pose(odometry: Odometry) -> Pose:
+    """Returns T_odom_base."""
+    return Pose((odometry.x, odometry.y, 0.0), quat_from_rpy(0.0, 0.0, odometry.yaw))
+
+
+def ground_truth_to_msg(pose: Pose, linear: Any, angular: Any, stamp_ns: int, child: str) -> RosOdometry:
+    """Returns the true pose in the world frame and the true twist in the ``child`` frame; covariances are zero."""
+    msg = RosOdometry(header=header_to_msg(stamp_ns, WORLD_FRAME), child_frame_id=child)
+    msg.pose.pose = pose_to_msg(pose)
+    msg.twist.twist.linear = _vector_to_msg(linear)
+    msg.twist.twist.angular = _vector_to_msg(angular)
+    return msg
+
+
+def _diagonal(values: tuple[float, ...]) -> NDArray[np.float64]:
+    return np.diag(np.array(values, dtype=np.float64)).ravel()
+
+
+def joint_states_to_msg(joints: JointStates, stamp_ns: int) -> JointState:
+    """Returns joint states; names are those of the URDF."""
+    return JointState(
+        header=header_to_msg(stamp_ns, ""),
+        name=list(joints.names),
+        position=array("d", joints.positions.tobytes()),
+        velocity=array("d", joints.velocities.tobytes()),
+        effort=array("d", joints.efforts.tobytes()),
+    )
+
+
+def scan_to_msg(scan: Scan, frame_id: str, scan_time: float) -> LaserScan:
+    """Returns a scan whose rays were all cast at its stamp (``time_increment`` 0)."""
+    msg = LaserScan(header=header_to_msg(scan.stamp_ns, frame_id))
+    msg.angle_min = scan.angle_min
+    msg.angle_increment = scan.angle_increment
+    msg.angle_max = scan.angle_min + scan.angle_increment * (len(scan.ranges) - 1)
+    msg.time_increment = 0.0
+    msg.scan_time = scan_time
+    msg.range_min = scan.range_min
+    msg.range_max = scan.range_max
+    msg.ranges = array("f", scan.ranges.astype(np.float32).tobytes())
+    return msg
+
+
+def camera_info_to_msg(camera: CameraSpec, stamp_ns: int) -> CameraInfo:
+    """Returns the calibration of a pinhole camera without distortion."""
+    k = camera.intrinsics()
+    p = np.zeros((3, 4))
+    p[:, :3] = k
+    return CameraInfo(
+        header=header_to_msg(stamp_ns, camera.optical_frame),
+        height=camera.height,
+        width=camera.width,
+        distortion_model="plumb_bob",
+        d=[0.0] * 5,
+        k=k.ravel(),
+        r=np.eye(3).ravel(),
+        p=p.ravel(),
+    )
+
+
+def image_to_msg(pixels: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str) -> Image:
+    """Returns an image of C-contiguous ``pixels``, shape (H, W) or (H, W, C), row 0 at the top."""
+    height, width = pixels.shape[:2]
+    data = array("B")
+    data.frombytes(memoryview(pixels).cast("B"))
+    msg = Image(header=header_to_msg(stamp_ns, frame_id))
+    msg.height, msg.width, msg.encoding = height, width, encoding
+    msg.is_bigendian = 0
+    msg.step = pixels.strides[0]
+    msg.data = data
+    return msg
+
+
+def frame_to_image_msgs(frame: Frame) -> dict[str, Image | CameraInfo]:
+    """Returns the messages of a frame by what they carry (see ``names.camera_topics``), all with the frame's stamp."""
+    camera, stamp = frame.camera, frame.stamp_ns
+    msgs: dict[str, Image | CameraInfo] = {}
+    if frame.rgb is not None:
+        msgs["rgb"] = image_to_msg(frame.rgb, "rgb8", stamp, camera.optical_frame)
+    if frame.depth is not None:
+        msgs["depth"] = image_to_msg(frame.depth, "32FC1", stamp, camera.optical_frame)
+    info = camera_info_to_msg(camera, stamp)
+    msgs.update({f"{kind}_info": info for kind in tuple(msgs)})
+    return msgs
+
+
+def array_from_image(msg: Image) -> NDArray[Any]:
+    """Returns the pixels of an ``rgb8`` image, (H, W, 3) uint8, or of a ``32FC1`` image, (H, W) float32."""
+    if msg.encoding == "rgb8":
+        return np.frombuffer(msg.data, np.uint8).reshape(msg.height, msg.step)[:, : msg.width * 3].reshape(msg.height, msg.width, 3)
+    if msg.encoding == "32FC1":
+        return np.frombuffer(msg.data, np.float32).reshape(msg.height, msg.step // 4)[:, : msg.width]
+    raise SceneError(f"image has encoding {msg.encoding!r}, known: rgb8, 32FC1")
+
+
+def mesh_roots(scene: DrawnScene) -> tuple[Path, ...]:
+    """Returns the folders that the scene's meshes lie in."""
+    return tuple({Path(v.shape.mesh).parent for v in scene.visuals if v.shape.kind == "mesh"})
+
+
+def planar_from_odometry(msg: RosOdometry) -> tuple[float, float, float, int]:
+    """Returns x, y (m), yaw (rad) and stamp (ns) of an odometry message."""
+    q = msg.pose.pose.orientation
+    yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
+    return msg.pose.pose.position.x, msg.pose.pose.position.y, yaw, time_from_msg(msg.header.stamp)

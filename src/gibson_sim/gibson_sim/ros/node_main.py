@@ -1,0 +1,92 @@
+"""What every node's ``main`` does: start rclpy, report user errors in one line, stop cleanly on SIGINT and SIGTERM."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import logging
+import os
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+
+from gibson_sim.errors import GibsonSimError
+
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+_PR_SET_PDEATHSIG = 1
+PARENT_VARIABLE = "GIBSON_SIM_PARENT_PID"
+"""Set by the launcher: the node ends when this process does, however it ends."""
+
+
+class SimNode(Protocol):
+    """What ``run_node`` needs of a node beside being one."""
+
+    def spin(self) -> int:
+        """Works until there is no more to do; returns the exit code."""
+
+    def close(self) -> None:
+        """Frees what the node holds; twice is fine."""
+
+
+def keep_large_blocks() -> None:
+    """Keeps malloc from returning image-sized blocks to the kernel: page faults, not copies, bound large messages."""
+    try:
+        libc = ctypes.CDLL("libc.so.6")
+        libc.mallopt(_M_MMAP_THRESHOLD, 32 << 20)
+        libc.mallopt(_M_TRIM_THRESHOLD, 256 << 20)
+    except (OSError, AttributeError):
+        logging.getLogger(__name__).debug("no glibc mallopt here; large messages are a little slower")
+
+
+def end_with_parent() -> None:
+    """Asks the kernel to end this process when the launcher that started it is gone."""
+    parent = os.environ.get(PARENT_VARIABLE, "")
+    if not parent:
+        return
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != int(parent):  # it went before we asked
+        sys.exit(1)
+
+
+def run_node(make: Callable[[], Any], args: list[str] | None = None) -> None:
+    """Makes the node and spins it. Ends the process with 0, the node's code, or 1 and one line on stderr for a user's error."""
+    logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(levelname)s %(message)s")
+    end_with_parent()
+    keep_large_blocks()
+    rclpy.init(args=args)
+    node, code = None, 0
+    try:
+        node = make()
+        code = node.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except GibsonSimError as error:
+        print(f"error: {error}", file=sys.stderr)
+        code = 1
+    finally:
+        if node is not None:
+            node.close()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    sys.exit(code)
+
+
+def spin_forever(node: Node) -> int:
+    """Spins until the context ends; returns 0."""
+    try:
+        rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    return 0
+
+
+def write_summary(path: str, summary: dict[str, Any]) -> None:
+    """Writes the summary as JSON, if there is a path to write it to."""
+    if path:
+        Path(path).write_text(json.dumps(summary, indent=2) + "\n")

@@ -1,0 +1,37 @@
+"""How far simulation time should be: pure arithmetic on whole nanoseconds of a steady clock."""
+
+from __future__ import annotations
+
+from gibson_sim.types import NS_PER_S
+
+
+class Pacer:
+    """Says how many ticks are due, so that simulation time keeps ``rate`` times the pace of wall time.
+
+    When the simulation cannot keep up it does not race to catch up later: whatever it is behind by more than ``max_lag_ns`` is
+    given up and counted in ``lost_ns``.
+    """
+
+    def __init__(self, tick_hz: int, rate: float, *, max_lag_ns: int = NS_PER_S // 4) -> None:
+        """``rate`` 0 = as fast as possible: one tick is always due."""
+        self._tick_hz, self._rate, self._max_lag_ns = tick_hz, rate, max_lag_ns
+        self._start_ns: int | None = None
+        self._ticks = 0
+        self.lost_ns = 0
+        """Wall time given up so far, nanoseconds."""
+
+    def due(self, now_ns: int) -> int:
+        """Returns how many ticks to make now; the first call starts the clock. The caller makes them all."""
+        if self._rate == 0.0:
+            return 1
+        if self._start_ns is None:
+            self._start_ns = now_ns
+        behind_ns = now_ns - self._start_ns - self._ticks * NS_PER_S / (self._tick_hz * self._rate)
+        if behind_ns > self._max_lag_ns:
+            lost = int(behind_ns - self._max_lag_ns)
+            self._start_ns += lost
+            self.lost_ns += lost
+            behind_ns = self._max_lag_ns
+        ticks = max(0, int(behind_ns * self._tick_hz * self._rate / NS_PER_S))
+        self._ticks += ticks
+        return ticks

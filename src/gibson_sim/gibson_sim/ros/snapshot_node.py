@@ -1,0 +1,97 @@
+"""The snapshot node: one PNG of each image of every camera of a running simulation."""
+
+from __future__ import annotations
+
+import sys
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import rclpy
+from numpy.typing import NDArray
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from sensor_msgs.msg import Image
+
+from gibson_msgs.msg import Scene
+from gibson_sim.config import SnapshotConfig
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.ros import conversions, names, qos
+from gibson_sim.ros.node_main import run_node
+from gibson_sim.ros.params import config_from_parameters
+
+
+class SnapshotNode(Node):
+    """Waits for the scene, takes the next image of every camera, writes it and ends.
+
+    ``<camera>_rgb.png`` is 8-bit colour; ``<camera>_depth.png`` is 16-bit, millimetres, 0 = nothing or beyond 65.5 m (REP 118).
+
+    Parameters: the fields of ``gibson_sim.config.SnapshotConfig``.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Subscribes. ``kwargs`` go to ``rclpy.node.Node``."""
+        super().__init__("snapshot", **kwargs)
+        self._config = config_from_parameters(self, SnapshotConfig)
+        self._folder = Path(self._config.output)
+        self._missing: dict[str, str] = {}
+        self._scene_seen = False
+        self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
+
+    def _on_scene(self, msg: Scene) -> None:
+        if self._scene_seen:
+            return
+        self._scene_seen = True
+        for camera in conversions.scene_from_msg(msg).cameras:
+            for kind in camera.outputs:
+                topic = names.camera_topics(camera.name)[kind]
+                self._missing[topic] = f"{camera.name}_{kind}.png"
+                self.create_subscription(Image, topic, partial(self._on_image, topic), qos.SENSOR)
+
+    def _on_image(self, topic: str, msg: Image) -> None:
+        name = self._missing.pop(topic, None)
+        if name is None:
+            return
+        path = self._folder / name
+        self._folder.mkdir(parents=True, exist_ok=True)
+        if not cv2.imwrite(str(path), png_pixels(conversions.array_from_image(msg))):
+            raise GibsonSimError(f"{path} cannot be written: is the folder writable and the disk not full?")
+        print(path)
+
+    def spin(self) -> int:
+        """Works until every camera sent an image; returns 1 where one did not within ``timeout``."""
+        deadline = time.monotonic() + self._config.timeout
+        try:
+            while rclpy.ok() and (self._missing or not self._scene_seen):
+                if time.monotonic() > deadline:
+                    what = f"no image on {', '.join(self._missing)}" if self._scene_seen else "no scene: is a simulation running?"
+                    print(f"error: {what} (waited {self._config.timeout:g} s)", file=sys.stderr)
+                    return 1
+                rclpy.spin_once(self, timeout_sec=0.2)
+        except (KeyboardInterrupt, ExternalShutdownException):
+            return 1
+        return 0
+
+    def close(self) -> None:
+        """Holds nothing."""
+
+
+def png_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
+    """Returns what to write as PNG: BGR uint8 of an RGB image, millimetres uint16 of a depth image in metres."""
+    if pixels.dtype == np.uint8:
+        return np.ascontiguousarray(pixels[:, :, ::-1])
+    millimetres = np.nan_to_num(pixels * 1000.0, nan=0.0, posinf=0.0, neginf=0.0).round()
+    millimetres[(millimetres < 0) | (millimetres > 65535)] = 0
+    return millimetres.astype(np.uint16)
+
+
+def main(args: list[str] | None = None) -> None:
+    """Runs the snapshot node."""
+    run_node(SnapshotNode, args)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,51 @@
+"""Starts the physics node and the render node: ros2 launch gibson_sim sim.launch.py scene:=flat rate:=1.0"""
+
+import os
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler, SetEnvironmentVariable
+from launch.event_handlers import OnProcessExit
+from launch.events import Shutdown
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+ARGUMENTS = (
+    ("scene", "flat", str, "scene: a name, a folder, a world file or a mesh file"),
+    ("robot", "gibson_bot", str, "robot: a name, a folder or a robot.yaml"),
+    ("start", "", str, "where the robot starts: a name or x,y,yaw_deg"),
+    ("rate", "1.0", float, "speed of simulation time; 0.0 = as fast as possible"),
+    ("publish_map_tf", "false", bool, "publish map -> odom from ground truth"),
+)
+
+
+def generate_launch_description():
+    share = get_package_share_directory("gibson_sim")
+    config = os.path.join(share, "config")
+    overrides = {name: ParameterValue(LaunchConfiguration(name), value_type=kind) for name, _, kind, _ in ARGUMENTS}
+    physics = Node(
+        package="gibson_sim",
+        executable="physics_node",
+        parameters=[os.path.join(config, "physics.param.yaml"), overrides],
+        output="screen",
+    )
+    render = Node(
+        package="gibson_sim",
+        executable="render_node",
+        parameters=[os.path.join(config, "render.param.yaml")],
+        output="screen",
+    )
+    return LaunchDescription(
+        [
+            *[DeclareLaunchArgument(name, default_value=default, description=text) for name, default, _, text in ARGUMENTS],
+            SetEnvironmentVariable(
+                "FASTRTPS_DEFAULT_PROFILES_FILE",
+                os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE", os.path.join(config, "fastdds.xml")),
+            ),
+            physics,
+            render,
+            # Time ends with the physics node: what is left would wait for a clock that stands still.
+            RegisterEventHandler(OnProcessExit(target_action=physics, on_exit=[EmitEvent(event=Shutdown())])),
+        ]
+    )
