@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.simulation import Listener, require
+
+from gibson_sim.cli.processes import DomainLock
+from gibson_sim.errors import AlreadyRunningError
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -26,3 +31,31 @@ def data_dir() -> Path:
         warnings.warn(message, stacklevel=2)
         pytest.skip(message)
     return folder
+
+
+@pytest.fixture(scope="session")
+def ros_domain() -> Iterator[int]:
+    """A domain without a simulation; this process and its children talk in it, on this machine alone."""
+    require("rclpy", "gibson_msgs")
+    for domain_id in range(60 + os.getpid() % 40, 200):
+        try:
+            DomainLock(domain_id).close()
+        except AlreadyRunningError:
+            continue
+        break
+    before = {k: os.environ.get(k) for k in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")}
+    os.environ.update(ROS_DOMAIN_ID=str(domain_id), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+    yield domain_id
+    for key, value in before.items():
+        if value is None:
+            os.environ.pop(key)
+        else:
+            os.environ[key] = value
+
+
+@pytest.fixture
+def listener(ros_domain: int) -> Iterator[Listener]:
+    """A client that is closed after the test."""
+    client = Listener()
+    yield client
+    client.close()

@@ -1,0 +1,102 @@
+"""Messages from values and back."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from support.simulation import require
+
+require("rclpy", "gibson_msgs")
+
+from geometry_msgs.msg import Twist  # noqa: E402
+from hypothesis import given  # noqa: E402
+from hypothesis import strategies as st  # noqa: E402
+
+from gibson_sim.errors import CommandError, SceneError  # noqa: E402
+from gibson_sim.robots.spec import Shape, VisualSpec  # noqa: E402
+from gibson_sim.ros import conversions as c  # noqa: E402
+from gibson_sim.scenes.spec import DrawnScene, LightSpec  # noqa: E402
+from gibson_sim.types import CameraSpec, Frame, Odometry, Pose, SceneState  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+
+@given(st.integers(min_value=0, max_value=2**31 * 10**9 - 1))
+def test_stamp_round_trip_loses_no_nanosecond(stamp_ns: int) -> None:
+    assert c.time_from_msg(c.time_to_msg(stamp_ns)) == stamp_ns
+
+
+def _scene() -> DrawnScene:
+    quarter = math.sqrt(0.5)
+    return DrawnScene(
+        name="s",
+        revision=3,
+        content_hash="abc",
+        links=("robot/base", "robot/eye"),
+        visuals=(
+            VisualSpec("wall", "", Shape("mesh", (1.0, 2.0, -1.0), "/a/b.glb"), Pose((1, 2, 3), (0, 0, quarter, quarter)), None, "wall"),
+            VisualSpec("body", "robot/base", Shape("cylinder", (0.2, 0.3, 0.0)), Pose(), (0.5, 0.25, 0.125, 1.0), ""),
+        ),
+        cameras=(CameraSpec("cam", "robot/eye", Pose((0.1, 0, 0)), 320, 200, 1.0, 0.1, 10.0, 15.0, ("depth",)),),
+        light=LightSpec((0.0, 0.0, -1.0), 0.5, 0.25, (0.5, 0.75, 1.0)),
+    )
+
+
+def test_scene_round_trip_keeps_everything() -> None:
+    assert c.scene_from_msg(c.scene_to_msg(_scene(), 5)) == _scene()
+
+
+def test_scene_with_an_index_that_points_nowhere_is_refused() -> None:
+    msg = c.scene_to_msg(_scene(), 5)
+    msg.visuals[0].link = 9
+    with pytest.raises(SceneError, match="link 9 is out of range, there are 2"):
+        c.scene_from_msg(msg)
+
+
+def test_state_round_trip_keeps_rows_in_place() -> None:
+    links = ("robot/base", "robot/eye")
+    state = SceneState(7_000_000_001, 4, 3, links, np.arange(6.0).reshape(2, 3), np.eye(4)[:2], np.arange(12.0).reshape(2, 6))
+    msg = c.scene_state_to_msg(state, (0,))
+    assert list(msg.poses) == [0, 1, 2, 1, 0, 0, 0, 3, 4, 5, 0, 1, 0, 0]
+    back = c.scene_state_from_msg(msg, links)
+    assert (back.stamp_ns, back.step, back.revision, list(msg.due_cameras)) == (7_000_000_001, 4, 3, [0])
+    for name in ("positions", "quats_xyzw", "twists"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(state, name))
+
+
+def test_frame_becomes_images_whose_bytes_stamp_and_frame_are_its_own() -> None:
+    camera = CameraSpec("cam", "robot/eye", width=3, height=2)
+    rgb = np.arange(18, dtype=np.uint8).reshape(2, 3, 3)
+    depth = np.array([[1.5, 2.5, np.inf], [0.25, 4.0, 5.0]], dtype=np.float32)
+    msgs = c.frame_to_image_msgs(Frame(camera, 1_500_000_000, np.eye(4), rgb, depth))
+    assert set(msgs) == {"rgb", "depth", "rgb_info", "depth_info"}
+    for msg in msgs.values():
+        assert (msg.header.stamp.sec, msg.header.stamp.nanosec, msg.header.frame_id) == (1, 500_000_000, "cam_optical_frame")
+        assert (msg.height, msg.width) == (2, 3)
+    assert (msgs["rgb"].encoding, msgs["rgb"].step, bytes(msgs["rgb"].data)) == ("rgb8", 9, bytes(range(18)))
+    assert (msgs["depth"].encoding, msgs["depth"].step) == ("32FC1", 12)
+    np.testing.assert_array_equal(c.array_from_image(msgs["depth"]), depth)
+    np.testing.assert_array_equal(c.array_from_image(msgs["rgb"]), rgb)
+
+
+def test_camera_info_holds_the_intrinsics_of_the_spec() -> None:
+    info = c.camera_info_to_msg(CameraSpec("cam", "l", width=640, height=480, fov_y=math.pi / 2), 0)
+    np.testing.assert_allclose(info.k, [240, 0, 319.5, 0, 240, 239.5, 0, 0, 1])
+    np.testing.assert_allclose(info.p, [240, 0, 319.5, 0, 0, 240, 239.5, 0, 0, 0, 1, 0])
+
+
+def test_odometry_yaw_becomes_a_rotation_about_z() -> None:
+    msg = c.odometry_to_msg(Odometry(1.0, 2.0, math.pi / 2, 0.3, 0.4), 10, "odom", "base_footprint")
+    q = msg.pose.pose.orientation
+    np.testing.assert_allclose([q.x, q.y, q.z, q.w], [0, 0, math.sqrt(0.5), math.sqrt(0.5)])
+    assert (msg.twist.twist.linear.x, msg.twist.twist.angular.z, msg.child_frame_id) == (0.3, 0.4, "base_footprint")
+    np.testing.assert_allclose(c.planar_from_odometry(msg), (1.0, 2.0, math.pi / 2, 10))
+
+
+def test_twist_with_a_nan_is_refused() -> None:
+    twist = Twist()
+    twist.angular.z = math.nan
+    with pytest.raises(CommandError, match="NaN"):
+        c.velocity_from_msg(twist, 0)

@@ -1,0 +1,172 @@
+"""Both nodes running in real time in our flat, seen by a client that knows only standard messages."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from support.simulation import Launched, Listener, require
+
+require("rclpy", "gibson_msgs")
+
+from geometry_msgs.msg import Twist, TwistStamped  # noqa: E402
+from nav_msgs.msg import Odometry  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data  # noqa: E402
+from sensor_msgs.msg import CameraInfo, Image, JointState, LaserScan  # noqa: E402
+from tf2_msgs.msg import TFMessage  # noqa: E402
+
+pytestmark = pytest.mark.ros
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+CLIENT = Path(__file__).with_name("standard_client.py")
+
+
+@pytest.fixture(scope="module")
+def sim(ros_domain: int) -> Iterator[Launched]:
+    launched = Launched("run", "--camera-rate", "10")
+    launched.wait_for_line("triangles")
+    yield launched
+    assert launched.stop() == 0, "\n".join(launched.lines)
+
+
+def _stamps(messages: list[object]) -> list[int]:
+    return [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages]  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("kind", ["twist", "stamped"])
+def test_standard_client_drives_one_metre_within_two_centimetres(sim: Launched, listener: Listener, kind: str) -> None:
+    truth = listener.collect(Odometry, "ground_truth/odom")
+    listener.spin_until(lambda: bool(truth), "ground truth")
+    before = truth[-1].pose.pose.position
+    client = subprocess.Popen([sys.executable, str(CLIENT), kind, "0.5"], stdout=subprocess.PIPE, text=True)
+    listener.spin_until(lambda: client.poll() is not None, "end of the client")
+    after = truth[-1].pose.pose.position
+    assert client.stdout is not None
+    said = float(client.stdout.read())
+    assert math.hypot(after.x - before.x, after.y - before.y) == pytest.approx(0.5, abs=0.01)
+    assert said == pytest.approx(0.5, abs=0.01)
+
+
+def test_images_carry_the_stamp_of_an_odometry_and_of_their_camera_info(sim: Launched, listener: Listener) -> None:
+    rgb = listener.collect(Image, "camera/image_raw", qos_profile_sensor_data)
+    depth = listener.collect(Image, "camera/depth/image_raw")
+    info = listener.collect(CameraInfo, "camera/camera_info")
+    odometry = listener.collect(Odometry, "odom", 50)
+    listener.spin_until(lambda: min(map(len, (rgb, depth, info))) >= 8, "eight images")
+    known = set(_stamps(odometry))
+    images = [s for s in _stamps(rgb) if s >= min(known)]
+    assert len(images) >= 6
+    assert set(images[:-1]) <= known
+    assert set(_stamps(rgb)[1:-1]) <= set(_stamps(info))
+    assert set(_stamps(rgb)[1:-1]) <= set(_stamps(depth))
+    assert all(a < b for a, b in zip(_stamps(rgb), _stamps(rgb)[1:], strict=False))
+    assert {m.header.frame_id for m in rgb + depth + info} == {"camera_optical_frame"}
+    assert (rgb[0].encoding, depth[0].encoding) == ("rgb8", "32FC1")
+    assert len(rgb[0].data) == 640 * 480 * 3
+
+
+def test_late_joiner_gets_the_static_transforms(sim: Launched, listener: Listener) -> None:
+    static = listener.collect(TFMessage, "/tf_static", LATCHED)
+    listener.spin_until(lambda: bool(static), "static transforms")
+    children = {t.child_frame_id for t in static[0].transforms}
+    assert {"base_link", "base_scan", "camera_optical_frame"} <= children
+
+
+def test_each_frame_has_one_parent_and_odom_is_the_root(sim: Launched, listener: Listener) -> None:
+    static = listener.collect(TFMessage, "/tf_static", LATCHED)
+    moving = listener.collect(TFMessage, "/tf", 100)
+    listener.spin_until(lambda: bool(static) and len(moving) > 3, "transforms")
+    parents = {t.child_frame_id: t.header.frame_id for t in [*static[0].transforms, *moving[-1].transforms]}
+    assert len(parents) == len(static[0].transforms) + len(moving[-1].transforms)
+    assert set(parents.values()) - set(parents) == {"odom"}
+
+
+def test_scan_has_a_beam_a_degree_from_straight_ahead_and_no_nan(sim: Launched, listener: Listener) -> None:
+    scans = listener.collect(LaserScan, "scan", qos_profile_sensor_data)
+    listener.spin_until(lambda: bool(scans), "a scan")
+    ranges = np.array(scans[0].ranges)
+    assert (len(ranges), scans[0].angle_min) == (360, 0.0)
+    assert scans[0].angle_increment == pytest.approx(math.radians(1.0))
+    assert not np.isnan(ranges).any()
+    assert np.isfinite(ranges).mean() > 0.9, "inside a flat nearly every beam meets a wall"
+
+
+def test_joint_states_name_both_wheels(sim: Launched, listener: Listener) -> None:
+    joints = listener.collect(JointState, "joint_states")
+    listener.spin_until(lambda: bool(joints), "joint states")
+    assert {"wheel_left_joint", "wheel_right_joint"} <= set(joints[0].name)
+
+
+@pytest.mark.parametrize("message_type", [Twist, TwistStamped])
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_command_that_is_not_a_number_is_refused_and_the_robot_stays(
+    sim: Launched, listener: Listener, message_type: type, bad: float
+) -> None:
+    odometry = listener.collect(Odometry, "odom")
+    publisher = listener.node.create_publisher(message_type, "cmd_vel", 1)
+    listener.spin_until(lambda: publisher.get_subscription_count() > 0 and bool(odometry), "a simulation that listens")
+    lines = len(sim.lines)
+    message = message_type()
+    (message.twist if message_type is TwistStamped else message).linear.x = bad
+    publisher.publish(message)
+    sim.wait_for_line("holds a NaN or an infinity; it is ignored", after=lines)
+    before, count = odometry[-1].pose.pose.position, len(odometry)
+    listener.spin_until(lambda: len(odometry) > count + 20, "twenty odometries more")
+    after = odometry[-1].pose.pose.position
+    assert math.hypot(after.x - before.x, after.y - before.y) < 0.001
+
+
+def test_robot_stops_when_commands_cease(sim: Launched, listener: Listener) -> None:
+    odometry = listener.collect(Odometry, "odom", 50)
+    publisher = listener.node.create_publisher(Twist, "cmd_vel", 1)
+    listener.spin_until(lambda: publisher.get_subscription_count() > 0, "a simulation that listens")
+    turn = Twist()
+    turn.angular.z = 0.5
+    publisher.publish(turn)
+    listener.spin_until(lambda: bool(odometry) and odometry[-1].twist.twist.angular.z > 0.4, "a turning robot")
+    started = _stamps(odometry)[-1]
+    listener.spin_until(lambda: abs(odometry[-1].twist.twist.angular.z) < 0.01, "a robot at rest")
+    # 0.5 s until the command is stale, then 0.5 rad/s at 4 rad/s^2 in an eighth of a second; a little for settling.
+    assert (_stamps(odometry)[-1] - started) / 1e9 < 0.9
+
+
+def test_second_simulation_in_the_domain_is_refused(sim: Launched) -> None:
+    second = Launched("run")
+    assert second.wait() == 3
+    assert "a simulation runs in ROS domain" in second.lines[-1]
+    assert sim.process.poll() is None
+
+
+def test_physics_node_started_by_hand_refuses_too(sim: Launched) -> None:
+    done = subprocess.run([sys.executable, "-m", "gibson_sim.ros.physics_node"], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "another node publishes /clock in this ROS domain" in done.stderr
+
+
+def test_snapshot_writes_colour_and_depth_of_every_camera(sim: Launched, tmp_path: Path) -> None:
+    taken = Launched("snapshot", str(tmp_path / "shots"))
+    assert taken.wait() == 0, "\n".join(taken.lines)
+    rgb = cv2.imread(str(tmp_path / "shots" / "camera_rgb.png"))
+    depth = cv2.imread(str(tmp_path / "shots" / "camera_depth.png"), cv2.IMREAD_UNCHANGED)
+    assert rgb.shape == (480, 640, 3)
+    assert rgb.std() > 5
+    assert (depth.shape, depth.dtype) == ((480, 640), np.uint16)
+    assert 100 < np.median(depth) < 10_000, "millimetres to the walls of a flat"
+
+
+def test_render_node_that_is_killed_comes_back_and_images_go_on(sim: Launched, listener: Listener) -> None:
+    images = listener.collect(Image, "camera/image_raw", qos_profile_sensor_data)
+    listener.spin_until(lambda: len(images) > 1, "images")
+    lines = len(sim.lines)
+    os.kill(sim.node_pid("render"), signal.SIGKILL)
+    sim.wait_for_line("starting it again", after=lines)
+    sim.wait_for_line("triangles", after=lines)
+    count = len(images)
+    listener.spin_until(lambda: len(images) > count + 3, "images after the restart")

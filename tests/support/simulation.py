@@ -1,0 +1,130 @@
+"""A simulation in a process of its own, and a client to talk to it."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+PATIENCE_S = 120.0
+"""How long anything may take before a test calls it missing; never how long it should take."""
+
+
+def require(*modules: str) -> None:
+    """Skips, loudly, where a module is missing; fails instead where ``GIBSON_REQUIRE`` names ros."""
+    missing = [m for m in modules if importlib.util.find_spec(m) is None]
+    if missing:
+        message = f"SKIPPED: no {', '.join(missing)} in this Python; run `make setup`"
+        if "ros" in os.environ.get("GIBSON_REQUIRE", ""):
+            pytest.fail(message)
+        pytest.skip(message, allow_module_level=True)
+
+
+class Launched:
+    """``gibson-sim`` in a process of its own, and what it said."""
+
+    def __init__(self, *argv: str, env: dict[str, str] | None = None) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "gibson_sim.cli.main", *argv],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            env={**os.environ, **(env or {})},
+        )
+        self.lines: list[str] = []
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.lines.append(line.rstrip())
+
+    def wait_for_line(self, text: str, *, after: int = 0) -> str:
+        """Returns the first line, from number ``after`` on, that holds ``text``."""
+        found: list[str] = []
+
+        def look() -> bool:
+            found[:] = [line for line in self.lines[after:] if text in line]
+            return bool(found) or self.process.poll() is not None
+
+        wait_until(look, f"a line with {text!r}")
+        assert found, f"it ended with {self.process.poll()} and never said {text!r}:\n" + "\n".join(self.lines)
+        return found[0]
+
+    def node_pid(self, name: str) -> int:
+        """Returns the process id of a node."""
+        pattern = f"gibson_sim.ros.{name}_node"
+        for pid in _children(self.process.pid):
+            if pattern in Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace"):
+                return pid
+        raise AssertionError(f"no {name} node among the children of {self.process.pid}")
+
+    def stop(self, number: int = signal.SIGINT) -> int:
+        """Asks it to stop and returns its exit code."""
+        if self.process.poll() is None:
+            self.process.send_signal(number)
+        code = self.process.wait(timeout=PATIENCE_S)
+        self._thread.join(timeout=10)
+        return code
+
+    def wait(self) -> int:
+        """Waits for its end and returns its exit code."""
+        code = self.process.wait(timeout=PATIENCE_S * 3)
+        self._thread.join(timeout=10)
+        return code
+
+
+def _children(pid: int) -> list[int]:
+    text = Path(f"/proc/{pid}/task/{pid}/children").read_text()
+    return [int(child) for child in text.split()]
+
+
+def wait_until(condition: Callable[[], bool], what: str) -> None:
+    """Returns as soon as ``condition`` holds; fails after a patience that no healthy machine needs."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, f"still no {what} after {PATIENCE_S:.0f} s"
+        time.sleep(0.02)
+
+
+class Listener:
+    """A client of its own context that keeps what arrives."""
+
+    def __init__(self) -> None:
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
+
+        self.context = rclpy.Context()
+        self.context.init()
+        self.node: Any = Node("test_listener", context=self.context, use_global_arguments=False)
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+
+    def collect(self, message_type: Any, topic: str, qos: Any = 10) -> list[Any]:
+        """Returns a list that fills with the topic's messages while ``spin_until`` works."""
+        messages: list[Any] = []
+        self.node.create_subscription(message_type, topic, messages.append, qos)
+        return messages
+
+    def spin_until(self, condition: Callable[[], bool], what: str) -> None:
+        """Works until ``condition`` holds."""
+        deadline = time.monotonic() + PATIENCE_S
+        while not condition():
+            assert time.monotonic() < deadline, f"still no {what} after {PATIENCE_S:.0f} s"
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()

@@ -1,0 +1,46 @@
+"""Options from settings, and settings to node arguments."""
+
+from __future__ import annotations
+
+import argparse
+
+import pytest
+import yaml
+
+from gibson_sim.cli.options import add_settings, node_arguments, settings_from_args
+from gibson_sim.cli.params import markdown
+from gibson_sim.config import PhysicsConfig
+from gibson_sim.errors import ConfigError
+
+
+def _parse(*argv: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    add_settings(parser, PhysicsConfig, ("scene", "rate", "step_hz", "publish_map_tf"))
+    return parser.parse_args(argv)
+
+
+def test_options_that_are_not_given_leave_the_defaults() -> None:
+    assert settings_from_args(PhysicsConfig, _parse()) == PhysicsConfig()
+
+
+def test_options_reach_the_settings_with_their_types() -> None:
+    config = settings_from_args(PhysicsConfig, _parse("--scene", "x y", "--rate", "max", "--step-hz", "480", "--publish-map-tf"))
+    assert (config.scene, config.rate, config.step_hz, config.publish_map_tf) == ("x y", 0.0, 480, True)
+
+
+def test_impossible_option_fails_in_the_words_of_the_settings() -> None:
+    with pytest.raises(ConfigError, match="setting 'step_hz' is 7, must be 60 to 10000 Hz"):
+        settings_from_args(PhysicsConfig, _parse("--step-hz", "7"))
+
+
+@pytest.mark.parametrize("scene", ["flat", "", "a b", "1.0", "yes", "quote'\"\\", "ä: [x]"])
+def test_node_arguments_carry_any_text_as_text(scene: str) -> None:
+    config = PhysicsConfig(scene=scene)
+    arguments = node_arguments(config)
+    values = dict(a.split(":=", 1) for a in arguments if ":=" in a)
+    assert PhysicsConfig(**{name: yaml.safe_load(text) for name, text in values.items()}) == config
+
+
+def test_parameter_table_has_a_row_for_every_setting() -> None:
+    text = markdown()
+    assert "| `step_hz` | int | `240` | 60 to 10000 Hz | Physics steps in a second of simulation time |" in text

@@ -1,0 +1,74 @@
+"""Locks, leftovers and exit codes of the launcher."""
+
+from __future__ import annotations
+
+import fcntl
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gibson_sim.cli.processes import DomainLock
+from gibson_sim.cli.shared_memory import remove_dead_segments
+from gibson_sim.errors import AlreadyRunningError
+
+
+def test_second_simulation_in_a_domain_is_refused_and_told_what_to_do(tmp_path: Path) -> None:
+    first = DomainLock(7, tmp_path)
+    with pytest.raises(AlreadyRunningError, match=r"runs in ROS domain 7 already \(process \d+\): stop it, or choose another domain"):
+        DomainLock(7, tmp_path)
+    first.close()
+    DomainLock(7, tmp_path).close()
+
+
+def test_other_domain_is_free(tmp_path: Path) -> None:
+    locks = [DomainLock(7, tmp_path), DomainLock(8, tmp_path)]
+    for lock in locks:
+        lock.close()
+
+
+def test_dead_segments_go_and_living_ones_stay(tmp_path: Path) -> None:
+    for name in ("fastrtps_dead", "fastrtps_dead_el", "fastrtps_alive", "fastrtps_alive_el", "somebody_else_el"):
+        (tmp_path / name).touch()
+    with (tmp_path / "fastrtps_alive_el").open("r+") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        remove_dead_segments(tmp_path)
+        assert sorted(p.name for p in tmp_path.iterdir()) == ["fastrtps_alive", "fastrtps_alive_el", "somebody_else_el"]
+
+
+def _cli(*argv: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", "gibson_sim.cli.main", *argv], capture_output=True, text=True, check=False)
+
+
+def test_help_documents_the_exit_codes() -> None:
+    done = _cli("--help")
+    assert done.returncode == 0
+    assert "3  a simulation runs in this ROS domain already" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("argv", "code", "text"),
+    [
+        (("run", "--scene", "/no/such/scene"), 1, "/no/such/scene"),
+        (("run", "--step-hz", "7"), 1, "setting 'step_hz' is 7, must be 60 to 10000 Hz"),
+        (("run", "--video", "film.avi"), 1, "must end in .mp4"),
+        (("run", "--no-render", "--video", "film.mp4"), 1, "--no-render makes no images"),
+        (("run", "--bogus"), 2, "unrecognized arguments: --bogus"),
+    ],
+)
+def test_bad_command_line_ends_with_one_line_on_stderr(argv: tuple[str, ...], code: int, text: str) -> None:
+    done = _cli(*argv)
+    assert done.returncode == code
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith("gibson-sim: error:")
+    assert text in last
+    assert code == 2 or len(done.stderr.strip().splitlines()) == 1
+
+
+def test_record_into_a_folder_with_something_in_it_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "precious").touch()
+    done = _cli("run", "--record", str(tmp_path))
+    assert done.returncode == 1
+    assert "is not an empty folder" in done.stderr
+    assert (tmp_path / "precious").exists()

@@ -1,0 +1,168 @@
+"""Reading robot.yaml."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gibson_sim.errors import RobotError
+from gibson_sim.geometry.transforms import matrix_from_quat, pose_from_xyz_rpy
+from gibson_sim.robots.load import load_robot
+from gibson_sim.robots.spec import RobotSpec
+from gibson_sim.robots.urdf import read_urdf
+
+URDF = """<robot name="r"><link name="base"><collision><origin xyz="0.1 0 0.2"/><geometry><box size="0.4 0.6 0.2"/></geometry></collision></link>
+<link name="l"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>
+<link name="r"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>
+<link name="eye"/><link name="eye_optical_frame"/>
+<joint name="jl" type="continuous"><parent link="base"/><child link="l"/><origin xyz="0 0.2 0.05"/><axis xyz="0 {left_axis} 0"/></joint>
+<joint name="jr" type="continuous"><parent link="base"/><child link="r"/><origin xyz="0 -0.2 0.05"/><axis xyz="0 1 0"/></joint>
+<joint name="je" type="fixed"><parent link="base"/><child link="eye"/><origin xyz="0 0 0.3"/></joint>
+<joint name="jo" type="fixed"><parent link="eye"/><child link="eye_optical_frame"/><origin rpy="-1.5707963 0 -1.5707963"/></joint>
+</robot>"""
+DRIVE = "drive: {type: differential, left_joint: jl, right_joint: jr}\n"
+
+
+@pytest.fixture
+def load(tmp_path: Path):  # noqa: ANN201
+    def _load(text: str, left_axis: int = 1) -> RobotSpec:
+        (tmp_path / "r.urdf").write_text(URDF.format(left_axis=left_axis))
+        (tmp_path / "robot.yaml").write_text("urdf: r.urdf\n" + text)
+        return load_robot(tmp_path, name="bob")
+
+    return _load
+
+
+def test_wheels_are_measured_in_the_urdf(load) -> None:  # noqa: ANN001
+    drive = load(DRIVE).drive
+    assert (drive.wheel_radius, drive.wheel_separation) == pytest.approx((0.05, 0.4))
+
+
+def test_given_wheel_radius_wins(load) -> None:  # noqa: ANN001
+    assert load("drive: {type: differential, left_joint: jl, right_joint: jr, wheel_radius: 0.06}\n").drive.wheel_radius == 0.06
+
+
+def test_joint_axis_that_points_right_changes_the_sign(load) -> None:  # noqa: ANN001
+    drive = load(DRIVE, left_axis=-1).drive
+    assert (drive.left_sign, drive.right_sign) == (-1.0, 1.0)
+
+
+def test_radius_reaches_the_farthest_corner(load) -> None:  # noqa: ANN001
+    # The box spans x -0.1 to 0.3, y -0.3 to 0.3, up to z 0.3.
+    robot = load("")
+    assert (robot.radius, robot.height) == pytest.approx((math.hypot(0.3, 0.3), 0.3))
+
+
+def test_links_carry_the_body_name_where_the_scene_needs_it(load) -> None:  # noqa: ANN001
+    robot = load("cameras: [{name: cam, link: eye_optical_frame}]\nlidar: {link: eye}\n")
+    assert (robot.cameras[0].link, robot.lidar.link) == ("bob/eye_optical_frame", "bob/eye")
+    assert robot.links[0] == "base"
+
+
+def test_fixed_and_moving_joints_are_told_apart(load) -> None:  # noqa: ANN001
+    robot = load("")
+    assert [(parent, child) for parent, child, _ in robot.fixed_transforms] == [("base", "eye"), ("eye", "eye_optical_frame")]
+    assert robot.moving_joints == (("jl", "base", "l"), ("jr", "base", "r"))
+
+
+def test_camera_angles_are_degrees_in_the_file(load) -> None:  # noqa: ANN001
+    assert load("cameras: [{name: c, link: eye_optical_frame, fov_y_deg: 90}]\n").cameras[0].fov_y == pytest.approx(math.pi / 2)
+
+
+def test_camera_on_a_plain_link_looks_along_x(load) -> None:  # noqa: ANN001
+    pose = load("cameras: [{name: c, link: eye}]\n").cameras[0].pose
+    assert matrix_from_quat(pose.quat_xyzw) @ [0, 0, 1] == pytest.approx([1, 0, 0], abs=1e-12)
+    assert matrix_from_quat(pose.quat_xyzw) @ [0, 1, 0] == pytest.approx([0, 0, -1], abs=1e-12)
+
+
+def test_camera_pitched_down_looks_down(load) -> None:  # noqa: ANN001
+    pose = load("cameras: [{name: c, link: eye, pose: {xyz: [0.1, 0.2, 0.3], rpy_deg: [0, 90, 0]}}]\n").cameras[0].pose
+    assert pose.position == pytest.approx((0.1, 0.2, 0.3))
+    assert matrix_from_quat(pose.quat_xyzw) @ [0, 0, 1] == pytest.approx([0, 0, -1], abs=1e-12)
+
+
+def test_camera_on_an_optical_link_is_that_link(load) -> None:  # noqa: ANN001
+    assert load("cameras: [{name: c, link: eye_optical_frame}]\n").cameras[0].pose.quat_xyzw == (0.0, 0.0, 0.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("camera: []\n", "did you mean 'cameras'"),
+        ("cameras: [{name: c, link: eye, fov_deg: 60}]\n", "did you mean 'fov_y_deg'"),
+        ("cameras: [{name: c, link: ey}]\n", "no link 'ey'; known: base"),
+        ("cameras: [{name: c, link: eye}, {name: c, link: eye}]\n", "names must differ"),
+        ("cameras: [{name: c, link: eye_optical_frame, pose: {}}]\n", "takes no pose"),
+        ("cameras: [{name: c, link: eye, width: 1.5}]\n", "whole number"),
+        ("cameras: [{name: c, link: eye, fov_y_deg: 200}]\n", "fov_y"),
+        ("cameras: [{name: c, link: eye, outputs: [sound]}]\n", "outputs"),
+        ("lidar: {link: eye, range_min: 5, range_max: 2}\n", "range_min"),
+        ("lidar: {link: eye, beams: .nan}\n", "finite"),
+        ("base_link: l\n", "must be the root link"),
+        ("drive: {type: ackermann}\n", "'differential'"),
+        ("drive: {type: differential, left_joint: jr, right_joint: jl}\n", "swapped"),
+        ("drive: {type: differential, left_joint: je, right_joint: jr}\n", "cannot drive"),
+        ("drive: {type: differential, left_joint: jl, right_joint: jr, max_linear: -1}\n", "max_linear"),
+        ("drive: [\n", "not YAML"),
+    ],
+)
+def test_wrong_setting_is_refused_in_one_line(load, text: str, words: str) -> None:  # noqa: ANN001
+    with pytest.raises(RobotError) as error:
+        load(text)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_body_name_must_be_a_ros_name(root: Path) -> None:
+    with pytest.raises(RobotError, match="'my robot'"):
+        load_robot(root / "config/robots/gibson_bot", name="my robot")
+
+
+def test_name_is_looked_up_by_the_given_function(root: Path) -> None:
+    folder = root / "config/robots/gibson_bot"
+    assert load_robot("any", find=lambda name: folder).urdf == folder / "gibson_bot.urdf"
+
+
+def test_unknown_name_is_refused() -> None:
+    with pytest.raises(RobotError, match="'gibson_bt'"):
+        load_robot("gibson_bt")
+
+
+def test_start_pose_is_kept(root: Path) -> None:
+    start = pose_from_xyz_rpy((1.0, 2.0, 3.0), (0.0, 0.0, 1.0))
+    assert load_robot(root / "config/robots/gibson_bot", start=start).start == start
+
+
+def test_gibson_bot_is_what_its_documentation_says(root: Path) -> None:
+    robot = load_robot(root / "config/robots/gibson_bot")
+    assert (robot.drive.wheel_radius, robot.drive.wheel_separation) == pytest.approx((0.036, 0.23))
+    assert robot.radius == pytest.approx(0.175)
+    camera = robot.cameras[0]
+    assert (camera.name, camera.width, camera.height, camera.rate_hz) == ("camera", 640, 480, 30.0)
+    assert all(visual.shape.kind != "mesh" for visual in robot.visuals)
+    T_base_camera = read_urdf(robot.urdf).transforms()["camera_optical_frame"]
+    assert 0.25 <= T_base_camera[2, 3] <= 0.30
+    # Level: forward is along x, and down in the image is down in the world.
+    assert T_base_camera[:3, :3] @ np.array([0, 0, 1]) == pytest.approx([1, 0, 0], abs=1e-9)
+    assert T_base_camera[:3, :3] @ np.array([0, 1, 0]) == pytest.approx([0, 0, -1], abs=1e-9)
+
+
+def test_gibson_bot_camera_does_not_see_the_robot(root: Path) -> None:
+    robot = load_robot(root / "config/robots/gibson_bot")
+    camera = robot.cameras[0]
+    transforms = read_urdf(robot.urdf).transforms()
+    eye = transforms["camera_optical_frame"][:3, 3]
+    slope = math.tan(camera.fov_y / 2)
+    for visual in robot.visuals:
+        T = transforms[visual.link.partition("/")[2]]
+        centre = T[:3, :3] @ np.array(visual.pose.position) + T[:3, 3]
+        size = visual.shape.size
+        reach = max(size) / 2 if visual.shape.kind == "box" else max(size[0], size[1] / 2)
+        # Whatever lies ahead of the lens must lie below the lower edge of the picture.
+        ahead = centre[0] + reach - eye[0]
+        half_height = {"box": size[2] / 2, "sphere": size[0], "cylinder": size[1] / 2}[visual.shape.kind]
+        below = eye[2] - (centre[2] + half_height)
+        assert ahead <= 0.05 or below > ahead * slope, visual.name

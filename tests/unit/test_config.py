@@ -1,0 +1,60 @@
+"""Settings: one place for defaults, limits and words."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+import yaml
+
+from gibson_sim.config import NODE_CONFIGS, PhysicsConfig, RecordConfig
+from gibson_sim.errors import ConfigError
+
+
+@pytest.mark.parametrize("name", NODE_CONFIGS)
+def test_defaults_are_allowed_and_every_setting_says_what_it_means(name: str) -> None:
+    config = NODE_CONFIGS[name]()
+    assert all(len(f.metadata["doc"]) > 15 for f in fields(config))
+
+
+def test_value_beyond_its_limits_names_setting_value_and_limits() -> None:
+    with pytest.raises(ConfigError, match="setting 'step_hz' is 10, must be 60 to 10000 Hz"):
+        PhysicsConfig(step_hz=10)
+
+
+def test_nan_is_not_within_limits() -> None:
+    with pytest.raises(ConfigError, match="'rate' is nan"):
+        PhysicsConfig(rate=float("nan"))
+
+
+def test_text_where_a_number_belongs_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"'rate' is 'fast' \(str\), must be of type float"):
+        PhysicsConfig(rate="fast")  # type: ignore[arg-type]
+
+
+def test_whole_number_is_taken_where_a_float_belongs() -> None:
+    assert PhysicsConfig(rate=2).rate == 2.0
+
+
+def test_unknown_choice_is_refused_with_the_choices() -> None:
+    with pytest.raises(ConfigError, match="must be one of none, zstd, lz4"):
+        RecordConfig(compression="gzip")
+
+
+def test_rates_that_do_not_divide_are_refused() -> None:
+    with pytest.raises(ConfigError, match="'publish_hz' is 50 Hz, must divide 'clock_hz', which is 120 Hz"):
+        PhysicsConfig(publish_hz=50)
+
+
+def test_wait_for_reads_topics_and_counts() -> None:
+    assert PhysicsConfig(wait_for="scene_state:2,odom:1").wanted_subscribers() == {"scene_state": 2, "odom": 1}
+    with pytest.raises(ConfigError, match="must be topic:count"):
+        PhysicsConfig(wait_for="scene_state")
+
+
+@pytest.mark.parametrize("node", ["physics", "render"])
+def test_shipped_parameter_file_is_allowed_and_equals_the_defaults(root: Path, node: str) -> None:
+    text = (root / "config" / f"{node}.param.yaml").read_text()
+    values = yaml.safe_load(text)["/**"]["ros__parameters"]
+    assert NODE_CONFIGS[node](**values) == NODE_CONFIGS[node]()
