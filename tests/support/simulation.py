@@ -114,7 +114,7 @@ class Listener:
     def collect(self, message_type: Any, topic: str, qos: Any = 10) -> list[Any]:
         """Returns a list that fills with the topic's messages while ``spin_until`` works."""
         messages: list[Any] = []
-        self.node.create_subscription(message_type, topic, messages.append, qos)
+        self.node.create_subscription(message_type, topic, lambda msg: messages.append(msg), qos)
         return messages
 
     def spin_until(self, condition: Callable[[], bool], what: str) -> None:

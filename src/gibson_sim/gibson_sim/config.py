@@ -97,6 +97,7 @@ class RenderConfig:
     """Settings of the render node."""
 
     egl_device: int = setting(-1, "EGL device to draw with, as listed by `gibson-sim doctor`; -1 = a GPU if there is one, else software", minimum=-1, maximum=255)  # fmt: skip
+    egl_library: str = setting("libEGL.so.1", "Library that offers EGL: a file name for the loader, or a path")
     cameras: str = setting("", "Names of the cameras to draw, separated by commas; empty = all of the scene")
     summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
 
@@ -111,7 +112,7 @@ class DriveConfig:
     drive: str = setting("tour", "tour, forward, square, spin, keyboard, or a file with lines `linear angular seconds`")
     scene: str = setting("flat", "Scene to plan the tour in; only for tour")
     robot: str = setting("gibson_bot", "Robot whose size the tour keeps clear; only for tour")
-    length: float = setting(30.0, "Length of the tour or of the straight drive", unit="m", minimum=0.1, maximum=10_000.0)
+    length: float = setting(0.0, "Length of the drive; 0 = 30 m for a tour, 2 m for forward", unit="m", minimum=0.0, maximum=10_000.0)
     linear: float = setting(0.4, "Greatest forward speed", unit="m/s", minimum=0.01, maximum=10.0)
     angular: float = setting(1.2, "Greatest turning speed", unit="rad/s", minimum=0.01, maximum=20.0)
     stamped: bool = setting(False, "Send TwistStamped instead of Twist")

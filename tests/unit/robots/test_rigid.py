@@ -51,7 +51,9 @@ def test_moving_link_is_a_group_of_its_own(tmp_path: Path) -> None:
 
 
 def test_link_with_its_own_friction_is_a_group_of_its_own(tmp_path: Path) -> None:
-    groups, _ = rigid_groups(read_urdf(write(tmp_path, BALL + '<contact><lateral_friction value="0"/></contact>' + MASS.format(kg=1, i=0.1))))
+    groups, _ = rigid_groups(
+        read_urdf(write(tmp_path, BALL + '<contact><lateral_friction value="0"/></contact>' + MASS.format(kg=1, i=0.1)))
+    )
     assert [group.friction for group in groups] == [None, 0.0]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +15,14 @@ from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.robots.urdf import read_urdf
 
-URDF = """<robot name="r"><link name="base"><collision><origin xyz="0.1 0 0.2"/><geometry><box size="0.4 0.6 0.2"/></geometry></collision></link>
+Load = Callable[..., RobotSpec]
+URDF = """<robot name="r"><link name="base"><collision>
+<origin xyz="0.1 0 0.2"/><geometry><box size="0.4 0.6 0.2"/></geometry></collision></link>
 <link name="l"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>
 <link name="r"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>
 <link name="eye"/><link name="eye_optical_frame"/>
-<joint name="jl" type="continuous"><parent link="base"/><child link="l"/><origin xyz="0 0.2 0.05"/><axis xyz="0 {left_axis} 0"/></joint>
+<joint name="jl" type="continuous"><parent link="base"/><child link="l"/><origin xyz="0 0.2 0.05"/>
+<axis xyz="0 {left_axis} 0"/></joint>
 <joint name="jr" type="continuous"><parent link="base"/><child link="r"/><origin xyz="0 -0.2 0.05"/><axis xyz="0 1 0"/></joint>
 <joint name="je" type="fixed"><parent link="base"/><child link="eye"/><origin xyz="0 0 0.3"/></joint>
 <joint name="jo" type="fixed"><parent link="eye"/><child link="eye_optical_frame"/><origin rpy="-1.5707963 0 -1.5707963"/></joint>
@@ -27,7 +31,7 @@ DRIVE = "drive: {type: differential, left_joint: jl, right_joint: jr}\n"
 
 
 @pytest.fixture
-def load(tmp_path: Path):  # noqa: ANN201
+def load(tmp_path: Path) -> Load:
     def _load(text: str, left_axis: int = 1) -> RobotSpec:
         (tmp_path / "r.urdf").write_text(URDF.format(left_axis=left_axis))
         (tmp_path / "robot.yaml").write_text("urdf: r.urdf\n" + text)
@@ -36,55 +40,55 @@ def load(tmp_path: Path):  # noqa: ANN201
     return _load
 
 
-def test_wheels_are_measured_in_the_urdf(load) -> None:  # noqa: ANN001
+def test_wheels_are_measured_in_the_urdf(load: Load) -> None:
     drive = load(DRIVE).drive
     assert (drive.wheel_radius, drive.wheel_separation) == pytest.approx((0.05, 0.4))
 
 
-def test_given_wheel_radius_wins(load) -> None:  # noqa: ANN001
+def test_given_wheel_radius_wins(load: Load) -> None:
     assert load("drive: {type: differential, left_joint: jl, right_joint: jr, wheel_radius: 0.06}\n").drive.wheel_radius == 0.06
 
 
-def test_joint_axis_that_points_right_changes_the_sign(load) -> None:  # noqa: ANN001
+def test_joint_axis_that_points_right_changes_the_sign(load: Load) -> None:
     drive = load(DRIVE, left_axis=-1).drive
     assert (drive.left_sign, drive.right_sign) == (-1.0, 1.0)
 
 
-def test_radius_reaches_the_farthest_corner(load) -> None:  # noqa: ANN001
+def test_radius_reaches_the_farthest_corner(load: Load) -> None:
     # The box spans x -0.1 to 0.3, y -0.3 to 0.3, up to z 0.3.
     robot = load("")
     assert (robot.radius, robot.height) == pytest.approx((math.hypot(0.3, 0.3), 0.3))
 
 
-def test_links_carry_the_body_name_where_the_scene_needs_it(load) -> None:  # noqa: ANN001
+def test_links_carry_the_body_name_where_the_scene_needs_it(load: Load) -> None:
     robot = load("cameras: [{name: cam, link: eye_optical_frame}]\nlidar: {link: eye}\n")
     assert (robot.cameras[0].link, robot.lidar.link) == ("bob/eye_optical_frame", "bob/eye")
     assert robot.links[0] == "base"
 
 
-def test_fixed_and_moving_joints_are_told_apart(load) -> None:  # noqa: ANN001
+def test_fixed_and_moving_joints_are_told_apart(load: Load) -> None:
     robot = load("")
     assert [(parent, child) for parent, child, _ in robot.fixed_transforms] == [("base", "eye"), ("eye", "eye_optical_frame")]
     assert robot.moving_joints == (("jl", "base", "l"), ("jr", "base", "r"))
 
 
-def test_camera_angles_are_degrees_in_the_file(load) -> None:  # noqa: ANN001
+def test_camera_angles_are_degrees_in_the_file(load: Load) -> None:
     assert load("cameras: [{name: c, link: eye_optical_frame, fov_y_deg: 90}]\n").cameras[0].fov_y == pytest.approx(math.pi / 2)
 
 
-def test_camera_on_a_plain_link_looks_along_x(load) -> None:  # noqa: ANN001
+def test_camera_on_a_plain_link_looks_along_x(load: Load) -> None:
     pose = load("cameras: [{name: c, link: eye}]\n").cameras[0].pose
     assert matrix_from_quat(pose.quat_xyzw) @ [0, 0, 1] == pytest.approx([1, 0, 0], abs=1e-12)
     assert matrix_from_quat(pose.quat_xyzw) @ [0, 1, 0] == pytest.approx([0, 0, -1], abs=1e-12)
 
 
-def test_camera_pitched_down_looks_down(load) -> None:  # noqa: ANN001
+def test_camera_pitched_down_looks_down(load: Load) -> None:
     pose = load("cameras: [{name: c, link: eye, pose: {xyz: [0.1, 0.2, 0.3], rpy_deg: [0, 90, 0]}}]\n").cameras[0].pose
     assert pose.position == pytest.approx((0.1, 0.2, 0.3))
     assert matrix_from_quat(pose.quat_xyzw) @ [0, 0, 1] == pytest.approx([0, 0, -1], abs=1e-12)
 
 
-def test_camera_on_an_optical_link_is_that_link(load) -> None:  # noqa: ANN001
+def test_camera_on_an_optical_link_is_that_link(load: Load) -> None:
     assert load("cameras: [{name: c, link: eye_optical_frame}]\n").cameras[0].pose.quat_xyzw == (0.0, 0.0, 0.0, 1.0)
 
 
@@ -109,7 +113,7 @@ def test_camera_on_an_optical_link_is_that_link(load) -> None:  # noqa: ANN001
         ("drive: [\n", "not YAML"),
     ],
 )
-def test_wrong_setting_is_refused_in_one_line(load, text: str, words: str) -> None:  # noqa: ANN001
+def test_wrong_setting_is_refused_in_one_line(load: Load, text: str, words: str) -> None:
     with pytest.raises(RobotError) as error:
         load(text)
     assert words in str(error.value)

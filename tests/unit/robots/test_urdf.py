@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from gibson_sim.errors import RobotError
 from gibson_sim.robots.urdf import UrdfModel, read_urdf
 
+Read = Callable[[str], UrdfModel]
 TWO_LINKS = '<link name="a"/><link name="b"/>'
 
 
@@ -23,7 +25,7 @@ def link(inside: str) -> str:
 
 
 @pytest.fixture
-def read(tmp_path: Path):  # noqa: ANN201
+def read(tmp_path: Path) -> Read:
     def _read(body: str) -> UrdfModel:
         path = tmp_path / "urdf" / "r.urdf"
         path.parent.mkdir(exist_ok=True)
@@ -33,12 +35,12 @@ def read(tmp_path: Path):  # noqa: ANN201
     return _read
 
 
-def test_root_comes_first_and_parents_before_children(read) -> None:  # noqa: ANN001
+def test_root_comes_first_and_parents_before_children(read: Read) -> None:
     model = read('<link name="c"/><link name="b"/><link name="a"/>' + joint("j1", child="b") + joint("j2", parent="b", child="c"))
     assert [one.name for one in model.links] == ["a", "b", "c"]
 
 
-def test_transform_of_a_turned_joint(read) -> None:  # noqa: ANN001
+def test_transform_of_a_turned_joint(read: Read) -> None:
     # b is 1 m ahead of a and turned left by 90 degrees; c is 2 m ahead of b, hence to the left.
     body = '<link name="a"/><link name="b"/><link name="c"/>'
     body += joint("j1", inside=f'<origin xyz="1 0 0" rpy="0 0 {math.pi / 2}"/>')
@@ -46,44 +48,44 @@ def test_transform_of_a_turned_joint(read) -> None:  # noqa: ANN001
     assert read(body).transforms()["c"][:3, 3] == pytest.approx([1.0, 2.0, 0.0])
 
 
-def test_axis_is_normalised(read) -> None:  # noqa: ANN001
+def test_axis_is_normalised(read: Read) -> None:
     assert read(TWO_LINKS + joint(kind="continuous", inside='<axis xyz="0 0 -3"/>')).joint("j").axis == (0.0, 0.0, -1.0)
 
 
-def test_limits_are_read(read) -> None:  # noqa: ANN001
+def test_limits_are_read(read: Read) -> None:
     limit = '<limit lower="-1" upper="2" effort="3" velocity="4"/>'
     got = read(TWO_LINKS + joint(kind="revolute", inside=limit)).joint("j")
     assert (got.lower, got.upper, got.effort, got.velocity) == (-1.0, 2.0, 3.0, 4.0)
 
 
-def test_shapes_and_sizes(read) -> None:  # noqa: ANN001
+def test_shapes_and_sizes(read: Read) -> None:
     shapes = '<box size="1 2 3"/>', '<sphere radius="4"/>', '<cylinder radius="5" length="6"/>'
     model = read(link("".join(f"<collision><geometry>{shape}</geometry></collision>" for shape in shapes)))
     got = [(c.shape.kind, c.shape.size) for c in model.link("a").collisions]
     assert got == [("box", (1.0, 2.0, 3.0)), ("sphere", (4.0, 0.0, 0.0)), ("cylinder", (5.0, 6.0, 0.0))]
 
 
-def test_colour_of_a_global_material(read) -> None:  # noqa: ANN001
+def test_colour_of_a_global_material(read: Read) -> None:
     visual = '<visual><geometry><sphere radius="1"/></geometry><material name="red"/></visual>'
     model = read('<material name="red"><color rgba="1 0.25 0 0.5"/></material>' + link(visual))
     assert model.link("a").visuals[0].color == (1.0, 0.25, 0.0, 0.5)
 
 
-def test_mesh_relative_to_the_file(read, tmp_path: Path) -> None:  # noqa: ANN001
+def test_mesh_relative_to_the_file(read: Read, tmp_path: Path) -> None:
     (tmp_path / "m.stl").write_bytes(b"x")
     model = read(link('<visual><geometry><mesh filename="../m.stl" scale="0.1 0.2 0.3"/></geometry></visual>'))
     shape = model.link("a").visuals[0].shape
     assert (shape.mesh, shape.size) == (str(tmp_path / "m.stl"), (0.1, 0.2, 0.3))
 
 
-def test_mesh_of_a_package_above_the_file(read, tmp_path: Path) -> None:  # noqa: ANN001
+def test_mesh_of_a_package_above_the_file(read: Read, tmp_path: Path) -> None:
     (tmp_path / "meshes").mkdir()
     (tmp_path / "meshes" / "m.stl").write_bytes(b"x")
     model = read(link(f'<visual><geometry><mesh filename="package://{tmp_path.name}/meshes/m.stl"/></geometry></visual>'))
     assert model.link("a").visuals[0].shape.mesh == str(tmp_path / "meshes" / "m.stl")
 
 
-def test_missing_visual_mesh_is_left_out_with_a_warning(read) -> None:  # noqa: ANN001
+def test_missing_visual_mesh_is_left_out_with_a_warning(read: Read) -> None:
     model = read(link('<visual><geometry><mesh filename="gone.dae"/></geometry></visual>'))
     assert model.link("a").visuals == ()
     assert "gone.dae" in model.warnings[0]
@@ -110,7 +112,7 @@ def test_missing_visual_mesh_is_left_out_with_a_warning(read) -> None:  # noqa: 
         (link('<collision><origin xyz="0 0"/><geometry><sphere radius="1"/></geometry></collision>'), "3 finite numbers"),
     ],
 )
-def test_broken_description_is_refused_in_one_line(read, body: str, words: str) -> None:  # noqa: ANN001
+def test_broken_description_is_refused_in_one_line(read: Read, body: str, words: str) -> None:
     with pytest.raises(RobotError) as error:
         read(body)
     assert words in str(error.value)
@@ -129,8 +131,10 @@ def test_broken_xml_is_refused(tmp_path: Path) -> None:
 
 
 def test_xacro_is_refused_with_the_remedy(tmp_path: Path) -> None:
-    (tmp_path / "r.urdf").write_text('<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include filename="x"/></robot>')
-    with pytest.raises(RobotError, match="xacro r.urdf >"):
+    (tmp_path / "r.urdf").write_text(
+        '<robot name="r" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include filename="x"/></robot>'
+    )
+    with pytest.raises(RobotError, match=r"xacro r\.urdf >"):
         read_urdf(tmp_path / "r.urdf")
 
 

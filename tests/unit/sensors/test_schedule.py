@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from gibson_sim.sensors.schedule import is_due
+from gibson_sim.sensors.schedule import images_due, is_due
 
 
 def _due(rate_hz: float, tick_hz: int, ticks: int) -> list[int]:
@@ -27,3 +27,11 @@ def test_mean_rate_holds_over_a_long_time(rate_hz: float) -> None:
 
 def test_rate_above_the_ticks_is_due_at_every_tick() -> None:
     assert _due(500.0, 60, 4) == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize("rate_hz", [7.5, 20.0, 30.0, 60.0])
+def test_images_due_between_stamps_counts_the_ticks_that_are_due(rate_hz: float) -> None:
+    stamps = [tick * 1_000_000_000 // 60 for tick in range(601)]
+    assert images_due(0, stamps[600], rate_hz) == 10 * rate_hz
+    for tick in range(1, 601):
+        assert images_due(stamps[tick - 1], stamps[tick], rate_hz) == int(is_due(tick, rate_hz, 60))

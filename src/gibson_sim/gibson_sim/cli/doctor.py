@@ -99,14 +99,11 @@ def _physics() -> Iterator[Finding]:
 
 
 _DEVICES = """
-import json
+import dataclasses, json
 from gibson_sim.render.context import list_devices
-print(json.dumps([{"index": d.index, "text": d.describe(), "usable": d.usable} for d in list_devices()]))
+print(json.dumps([dataclasses.asdict(d) for d in list_devices()]))
 """
-_DRAW = """
-from gibson_sim.render.self_test import self_test
-print(self_test())
-"""
+_DRAW = "from gibson_sim.render.self_test import self_test; print(self_test())"
 
 
 def _graphics() -> Iterator[Finding]:
@@ -119,7 +116,10 @@ def _graphics() -> Iterator[Finding]:
     if not any(d["usable"] for d in devices):
         yield Finding("EGL", "FAIL", f"{len(devices)} devices, none can draw", remedy)
     for device in devices:
-        yield Finding(f"EGL device {device['index']}", "ok" if device["usable"] else "warn", device["text"])
+        kind = "software, no GPU" if device["software"] else f"GPU {device['drm_node']}".strip()
+        name = device["renderer"] or device["vendor"] or "nameless"
+        text = f"{name}, OpenGL {device['version']}, {kind}" if device["usable"] else f"{name}, {kind}: {device['problem']}"
+        yield Finding(f"EGL device {device['index']}", "ok" if device["usable"] else "warn", text)
     ok, text = _try(_DRAW)
     yield Finding("drawing", "ok" if ok else "FAIL", text, "" if ok else remedy)
 

@@ -40,7 +40,7 @@ def add_parser(subparsers: Any) -> None:
         PhysicsConfig,
         ("scene", "robot", "start", "rate", "duration", "step_hz", "clock_hz", "publish_hz", "camera_rate", "cmd_vel_timeout", "publish_map_tf"),  # fmt: skip
     )
-    add_settings(parser, RenderConfig, ("egl_device", "cameras"))
+    add_settings(parser, RenderConfig, ("egl_device", "egl_library", "cameras"))
     parser.add_argument("--no-render", action="store_true", help="physics alone, no images")
     drive = parser.add_argument_group("drive")
     add_settings(drive, DriveConfig, ("drive", "length", "linear", "angular", "stamped"))  # type: ignore[arg-type]
@@ -218,7 +218,7 @@ def _summary_lines(found: dict[str, dict[str, Any]], restarts: int) -> list[str]
         for name, count in r["images"].items():
             lines.append(
                 f"render: camera {name}, {count} images, {r['images_per_wall_s'][name]:.1f}/s of wall time, "
-                f"{r['images_per_simulated_s'][name]:.1f}/s of simulation time, {r['skipped_states']} skipped, "
+                f"{r['images_per_simulated_s'][name]:.1f}/s of simulation time, {r['skipped_images']} skipped, "
                 f"{r['draw_ms_median']:.1f} ms to draw, {r['publish_ms_median']:.1f} ms to publish (medians), on {r['renderer']}"
             )
     if restarts:

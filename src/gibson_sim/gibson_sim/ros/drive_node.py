@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import select
 import sys
@@ -31,6 +32,7 @@ KEYS = {"w": (1, 0), "x": (-1, 0), "a": (0, 1), "d": (0, -1), "q": (1, 1), "e": 
 """Key -> direction of (linear, angular)."""
 KEY_HELP = "w forward, x backward, a/d turn left/right, q/e forward and turn, s or space stop, Ctrl-C end"
 NO_ODOMETRY_S = 30.0
+TOUR_LENGTH, FORWARD_LENGTH = 30.0, 2.0
 
 
 class DriveNode(Node):
@@ -57,11 +59,12 @@ class DriveNode(Node):
                 raise ConfigError("drive 'keyboard' needs a terminal on standard input; from a script use --drive with a file")
             self._drive = _KeyboardDrive(config)
         elif config.drive == "tour":
+            logging.getLogger(load_scene.__module__).setLevel(logging.ERROR)  # the physics node said it all
             robot = load_robot(config.robot)
             self._map, self._radius = robot_floor_map(load_scene(config.scene), robot), robot.radius
         else:
-            script = scripted_drive(config.drive, linear=config.linear, angular=config.angular, length=config.length)
-            self._drive = _ScriptDrive(script)
+            length = config.length or FORWARD_LENGTH
+            self._drive = _ScriptDrive(scripted_drive(config.drive, linear=config.linear, angular=config.angular, length=length))
         self._message_type = TwistStamped if config.stamped else Twist
         self._publisher = self.create_publisher(self._message_type, names.CMD_VEL, qos.COMMAND)
         self.create_subscription(Odometry, names.GROUND_TRUTH, self._on_odometry, qos.STATE)
@@ -82,7 +85,7 @@ class DriveNode(Node):
     def _plan(self, x: float, y: float) -> _Drive:
         """Returns a tour that starts at (x, y)."""
         assert self._map is not None
-        path = plan_tour(self._map, (x, y), self._radius, self._config.length)
+        path = plan_tour(self._map, (x, y), self._radius, self._config.length or TOUR_LENGTH)
         self.get_logger().info(f"tour of {len(path)} points starts at {x:.2f},{y:.2f}")
         return _TourDrive(PathFollower(path, max_linear=self._config.linear, max_angular=self._config.angular))
 

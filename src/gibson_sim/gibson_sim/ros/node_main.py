@@ -56,6 +56,7 @@ def end_with_parent() -> None:
 
 def run_node(make: Callable[[], Any], args: list[str] | None = None) -> None:
     """Makes the node and spins it. Ends the process with 0, the node's code, or 1 and one line on stderr for a user's error."""
+    logging.addLevelName(logging.WARNING, "WARN")  # as rclpy spells it
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(levelname)s %(message)s")
     end_with_parent()
     keep_large_blocks()

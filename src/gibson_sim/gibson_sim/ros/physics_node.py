@@ -39,6 +39,8 @@ from gibson_sim.types import NS_PER_S, SceneState as State
 
 logger = logging.getLogger(__name__)
 WAIT_LIMIT_S = 120.0
+DISCOVERY_S = 0.7
+"""How long a new participant takes to hear of the others; loading a scene usually takes longer anyway."""
 
 
 class PhysicsNode(Node):
@@ -68,20 +70,21 @@ class PhysicsNode(Node):
         super().__init__("physics", **kwargs)
         self._world: PhysicsWorld | None = None
         self._stamped: _StampedCommands | None = None
+        born = time.monotonic()
         self._config = config = config_from_parameters(self, PhysicsConfig)
         self._scene = scene = _scene_with_camera_rate(populate(config.scene, config.robot, config.start), config.camera_rate)
-        for warning in scene.warnings:
-            self.get_logger().warning(warning)
+        time.sleep(max(0.0, born + DISCOVERY_S - time.monotonic()))
         self._refuse_second_simulation()
         self._robot: RobotSpec = scene.robots[0]
         self._world = PhysicsWorld(scene, step_hz=config.step_hz, cmd_vel_timeout=config.cmd_vel_timeout)
         self._base_frame = self._robot.base_link
         self._tick, self._lost_commands, self._commands_seen = 0, 0, 0
         self._pacer = Pacer(config.clock_hz, config.rate)
-        self._wall_start_ns, self._last_report = 0, (0, 0)
+        self._first_tick: tuple[int, int] | None = None
+        self._last_tick, self._last_report = (0, 0), (0, 0)
         self._make_publishers()
         self._commands: deque[Twist] = deque(maxlen=16)
-        self.create_subscription(Twist, names.CMD_VEL, self._commands.append, qos.COMMAND)
+        self.create_subscription(Twist, names.CMD_VEL, lambda msg: self._commands.append(msg), qos.COMMAND)
         self._stamped = _StampedCommands(self, self._commands)
         self._publish_latched()
         self.get_logger().info(
@@ -144,8 +147,7 @@ class PhysicsNode(Node):
         period = 1.0 / (self._config.clock_hz * self._config.rate) if self._config.rate else 1e-5
         self.create_timer(min(period, 0.01), tick, clock=steady)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
-        self._wall_start_ns = time.monotonic_ns()
-        self._last_report = (self._wall_start_ns, self.world.stamp_ns)
+        self._last_report = (time.monotonic_ns(), self.world.stamp_ns)
         try:
             while rclpy.ok() and not done:
                 executor.spin_once(timeout_sec=0.5)
@@ -168,6 +170,7 @@ class PhysicsNode(Node):
     def _make_ticks(self, now_ns: int) -> bool:
         """Makes the ticks that are due at wall time ``now_ns``; returns whether ``duration`` has passed."""
         for _ in range(self._pacer.due(now_ns)):
+            self._first_tick = self._first_tick or (now_ns, self.world.stamp_ns)
             self._take_commands()
             self.world.step(self._config.step_hz // self._config.clock_hz)
             self._tick += 1
@@ -176,6 +179,7 @@ class PhysicsNode(Node):
             ticks_per_state = self._config.clock_hz // self._config.publish_hz
             if self._tick % ticks_per_state == 0:
                 self._publish_state(self._tick // ticks_per_state)
+            self._last_tick = (time.monotonic_ns(), stamp_ns)
             if self._config.duration and stamp_ns >= self._config.duration * NS_PER_S:
                 return True
         return False
@@ -247,8 +251,9 @@ class PhysicsNode(Node):
 
     def summary(self) -> dict[str, Any]:
         """Returns what was measured since the first tick."""
-        wall_s = (time.monotonic_ns() - self._wall_start_ns) / NS_PER_S if self._wall_start_ns else 0.0
-        sim_s = self.world.stamp_ns / NS_PER_S
+        first = self._first_tick or self._last_tick
+        wall_s = (self._last_tick[0] - first[0]) / NS_PER_S
+        sim_s = (self._last_tick[1] - first[1]) / NS_PER_S
         return {
             "scene": self._scene.name,
             "simulation_time_s": sim_s,

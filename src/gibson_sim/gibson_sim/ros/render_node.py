@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
 from statistics import median
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import CameraInfo, Image
@@ -20,10 +19,11 @@ from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.render.context import open_context
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.ros import conversions, names, qos
-from gibson_sim.ros.node_main import run_node, write_summary
+from gibson_sim.ros.node_main import run_node, spin_forever, write_summary
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.scenes.spec import DrawnScene
-from gibson_sim.types import NS_PER_S
+from gibson_sim.sensors.schedule import images_due
+from gibson_sim.types import NS_PER_S, Frame
 
 
 class RenderNode(Node):
@@ -50,13 +50,10 @@ class RenderNode(Node):
         super().__init__("render", **kwargs)
         self._renderer: Renderer | None = None
         self._config = config_from_parameters(self, RenderConfig)
-        open_context(self._device).close()  # fail now, with a clear message, not when the scene arrives
+        open_context(self._device, library=self._config.egl_library).close()  # fail now, with a clear message, not when the scene arrives
         self._scene: DrawnScene | None = None
-        self._publishers: dict[str, Publisher] = {}
+        self._image_publishers: dict[str, Publisher] = {}
         self._state_subscription: Any = None
-        self._pending: SceneState | None = None
-        self.received = 0
-        """States received so far."""
         self._stats = _Stats()
         self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
         self._diagnostics_pub = self.create_publisher(DiagnosticArray, names.DIAGNOSTICS, qos.STATE)
@@ -82,16 +79,16 @@ class RenderNode(Node):
         started = time.monotonic()
         if self._renderer is not None:
             self._renderer.close()
-        self._renderer = Renderer(scene, device=self._device)
+        self._renderer = Renderer(scene, device=self._device, library=self._config.egl_library)
         for warning in self._renderer.warnings:
             self.get_logger().warning(warning)
         self._scene = scene
         self._drawn = {i: c for i, c in enumerate(scene.cameras) if not wanted or c.name in wanted}
         for camera in self._drawn.values():
             for kind, topic in names.camera_topics(camera.name).items():
-                if topic not in self._publishers and kind.removesuffix("_info") in camera.outputs:
+                if topic not in self._image_publishers and kind.removesuffix("_info") in camera.outputs:
                     msg_type = CameraInfo if kind.endswith("_info") else Image
-                    self._publishers[topic] = self.create_publisher(msg_type, topic, qos.SENSOR)
+                    self._image_publishers[topic] = self.create_publisher(msg_type, topic, qos.SENSOR)
         info = self._renderer.info
         self.get_logger().info(
             f"scene {scene.name}: {info['triangles']} triangles, {info['textures']} textures in {time.monotonic() - started:.1f} s, "
@@ -101,18 +98,18 @@ class RenderNode(Node):
             self._state_subscription = self.create_subscription(SceneState, names.SCENE_STATE, self._on_state, qos.STATE)
 
     def _on_state(self, msg: SceneState) -> None:
-        """Keeps the newest state that asks for an image."""
-        self.received += 1
-        if any(i in self._drawn for i in msg.due_cameras):
-            if self._pending is not None:
-                self._stats.skipped += 1
-            self._pending = msg
+        """Draws the newest of the states that wait, if a camera is due at it or was due since the last one drawn."""
+        due = None
+        for state in (msg, *take_waiting(self._state_subscription)):
+            if any(i in self._drawn for i in state.due_cameras):
+                due = state
+        if due is not None:
+            self._draw(due)
 
-    def draw_pending(self) -> None:
-        """Draws and publishes the newest state that asks for an image, if there is one."""
-        msg, self._pending = self._pending, None
-        if msg is None or self._renderer is None or self._scene is None:
-            return
+    def _draw(self, msg: SceneState) -> None:
+        """Draws and publishes the cameras that are due."""
+        assert self._renderer is not None
+        assert self._scene is not None
         cameras = [self._drawn[i] for i in msg.due_cameras if i in self._drawn]
         started = time.monotonic_ns()
         try:
@@ -124,25 +121,12 @@ class RenderNode(Node):
         for frame in frames:
             topics = names.camera_topics(frame.camera.name)
             for kind, out in conversions.frame_to_image_msgs(frame).items():
-                self._publishers[topics[kind]].publish(out)
-        self._stats.add(started, drawn, time.monotonic_ns(), [f.camera.name for f in frames], frames[0].stamp_ns)
+                self._image_publishers[topics[kind]].publish(out)
+        self._stats.add(started, drawn, time.monotonic_ns(), frames)
 
     def spin(self) -> int:
         """Draws until the context ends; returns the exit code."""
-        executor = SingleThreadedExecutor()
-        executor.add_node(self)
-        try:
-            while rclpy.ok():
-                before = self.received
-                executor.spin_once(timeout_sec=0.1)
-                # Take everything that waits before drawing: what counts is the newest state.
-                while self.received != before:
-                    before = self.received
-                    executor.spin_once(timeout_sec=0.0)
-                self.draw_pending()
-        except (KeyboardInterrupt, ExternalShutdownException):
-            pass
-        return 0
+        return spin_forever(self)
 
     def _publish_diagnostics(self) -> None:
         values = self._stats.since_last_report()
@@ -170,6 +154,13 @@ class RenderNode(Node):
             self._renderer = None
 
 
+def take_waiting(subscription: Any) -> Iterator[Any]:
+    """Yields the messages that wait in a subscription's queue. The executor would hand them out one by one, each after a drawing."""
+    with subscription.handle:
+        while (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+            yield taken[0]
+
+
 class _Stats:
     """Counts images and how long they took, in wall time."""
 
@@ -177,20 +168,25 @@ class _Stats:
         self.skipped = 0
         self.last_stamp_ns = 0
         self._images: dict[str, int] = {}
+        self._stamps: dict[str, int] = {}
         self._draw_ms: list[float] = []
         self._publish_ms: list[float] = []
         self._first: tuple[int, int] = (0, 0)
         self._last_ns = 0
         self._reported = (0, 0, 0)
 
-    def add(self, started_ns: int, drawn_ns: int, published_ns: int, cameras: list[str], stamp_ns: int) -> None:
+    def add(self, started_ns: int, drawn_ns: int, published_ns: int, frames: list[Frame]) -> None:
         if not self._images:
-            self._first = (published_ns, stamp_ns)
-        for name in cameras:
+            self._first = (published_ns, frames[0].stamp_ns)
+        for frame in frames:
+            name, stamp_ns = frame.camera.name, frame.stamp_ns
+            if name in self._stamps and stamp_ns > self._stamps[name]:
+                self.skipped += images_due(self._stamps[name], stamp_ns, frame.camera.rate_hz) - 1
+            self._stamps[name] = stamp_ns
             self._images[name] = self._images.get(name, 0) + 1
         self._draw_ms.append((drawn_ns - started_ns) / 1e6)
         self._publish_ms.append((published_ns - drawn_ns) / 1e6)
-        self._last_ns, self.last_stamp_ns = published_ns, stamp_ns
+        self._last_ns, self.last_stamp_ns = published_ns, frames[0].stamp_ns
 
     def since_last_report(self) -> dict[str, float] | None:
         """Returns figures since the last call, or None where nothing was drawn yet."""
@@ -209,7 +205,7 @@ class _Stats:
             "images": dict(self._images),
             "images_per_wall_s": {k: (n - 1) / wall_s if wall_s else 0.0 for k, n in self._images.items()},
             "images_per_simulated_s": {k: (n - 1) / sim_s if sim_s else 0.0 for k, n in self._images.items()},
-            "skipped_states": self.skipped,
+            "skipped_images": self.skipped,
             "draw_ms_median": median(self._draw_ms) if self._draw_ms else 0.0,
             "publish_ms_median": median(self._publish_ms) if self._publish_ms else 0.0,
         }

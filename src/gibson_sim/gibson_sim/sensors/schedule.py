@@ -5,6 +5,11 @@ from __future__ import annotations
 import math
 from fractions import Fraction
 
+from gibson_sim.types import NS_PER_S
+
+_STAMP_ERROR = Fraction(1, 1_000_000)
+"""Stamps are whole nanoseconds, cut off: a tick at 1/60 s is stamped a little early."""
+
 
 def is_due(tick: int, rate_hz: float, tick_hz: int) -> bool:
     """Returns whether a sensor of ``rate_hz`` measures at ``tick``, where ticks pass at ``tick_hz`` in simulation time.
@@ -14,3 +19,9 @@ def is_due(tick: int, rate_hz: float, tick_hz: int) -> bool:
     """
     ratio = Fraction(rate_hz).limit_denominator(1000) / tick_hz
     return tick > 0 and math.floor(tick * ratio) > math.floor((tick - 1) * ratio)
+
+
+def images_due(after_ns: int, until_ns: int, rate_hz: float) -> int:
+    """Returns how often a sensor of ``rate_hz`` was due after one stamp and until another, nanoseconds."""
+    ratio = Fraction(rate_hz).limit_denominator(1000) / NS_PER_S
+    return math.floor(until_ns * ratio + _STAMP_ERROR) - math.floor(after_ns * ratio + _STAMP_ERROR)

@@ -1,0 +1,210 @@
+"""Lists what can draw on this machine, and opens a device: a GPU if one works, else software."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import logging
+import os
+import subprocess
+import sys
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
+
+from gibson_sim.errors import GraphicsUnavailableError
+from gibson_sim.render.context.egl import LIBRARY, REMEDY, Egl, EglContext
+
+if TYPE_CHECKING:
+    import moderngl
+
+_log = logging.getLogger(__name__)
+_SOFTWARE_NAMES = ("llvmpipe", "softpipe", "swrast", "swiftshader", "software rasterizer")
+_PROBE = "import sys; from gibson_sim.render.context.devices import _probe; _probe(sys.argv[1], int(sys.argv[2]))"
+_PROBE_TIMEOUT_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class EglDevice:
+    """One thing that could draw."""
+
+    index: int
+    """Number to choose it by."""
+    vendor: str = ""
+    renderer: str = ""
+    """Name of the GPU or of the software renderer; empty if the driver does not say before it is opened."""
+    version: str = ""
+    """OpenGL version, empty where it was not opened."""
+    drm_node: str = ""
+    """Device file, e.g. ``/dev/dri/renderD128``; empty if it has none."""
+    software: bool = False
+    """It draws on the CPU."""
+    usable: bool = False
+    """It was opened, and has what is needed."""
+    problem: str = ""
+    """Why it is not usable; empty if it is or was not tried."""
+
+
+class GlContext:
+    """An open OpenGL context. One thread owns it."""
+
+    def __init__(self, device: EglDevice, egl_context: EglContext) -> None:
+        self.device = device
+        self.egl = egl_context
+        self._gl: moderngl.Context | None = None
+
+    @property
+    def gl(self) -> moderngl.Context:
+        """ModernGL's view of the context."""
+        if self._gl is None:
+            # Loaded here so that listing devices works where ModernGL is not installed.
+            import moderngl
+
+            self._gl = moderngl.create_context(require=450, standalone=True, context=self.egl)
+        return self._gl
+
+    def make_current(self) -> None:
+        """Sends the OpenGL calls of this thread to this context."""
+        self.egl.make_current()
+
+    def close(self) -> None:
+        """Frees the context and everything made in it; a second call does nothing."""
+        self._gl = None
+        self.egl.release()
+
+
+def open_context(device: int | None = None, *, library: str = LIBRARY) -> GlContext:
+    """Opens a device.
+
+    Args:
+        device: its number in ``list_devices``; None = the first GPU that works, else software, which is said in the log.
+        library: name of the EGL library.
+
+    Raises:
+        GraphicsUnavailableError: there is no such device, or none works.
+    """
+    egl = Egl(library)
+    handles = egl.devices()
+    if not handles:
+        raise GraphicsUnavailableError(f"cannot draw: EGL finds no device, neither a GPU nor software: {REMEDY}")
+    if device is not None:
+        if not 0 <= device < len(handles):
+            raise GraphicsUnavailableError(f"EGL device {device} does not exist, there are 0 to {len(handles) - 1}; see `gibson-sim doctor`")
+        try:
+            return _open(egl, handles, device)
+        except GraphicsUnavailableError as e:
+            raise GraphicsUnavailableError(f"EGL device {device} cannot draw: {e}; choose another, see `gibson-sim doctor`") from e
+    return _open_best(egl, handles)
+
+
+def list_devices(*, library: str = LIBRARY) -> list[EglDevice]:
+    """Returns every device, opened once to see whether it works.
+
+    That happens in a child process, since a broken driver may take its process with it.
+
+    Raises:
+        GraphicsUnavailableError: there is no EGL library, or it cannot list devices.
+    """
+    devices: dict[int, EglDevice] = {}
+    start = 0
+    while True:
+        try:
+            lines, code = _run_probe(library, start)
+        except OSError as e:
+            raise GraphicsUnavailableError(f"the devices cannot be tried: {sys.executable} cannot be started: {e}") from e
+        for line in lines:
+            if "fatal" in line:
+                raise GraphicsUnavailableError(line["fatal"])
+            devices[line["index"]] = EglDevice(**line)
+        tried = [d.index for d in devices.values() if d.usable or d.problem]
+        pending = [i for i in sorted(devices) if i not in tried]
+        if not pending:
+            break
+        devices[pending[0]] = replace(devices[pending[0]], problem=f"the driver ended its process ({code})")
+        start = pending[0] + 1
+    if not devices and code != "exit code 0":
+        raise GraphicsUnavailableError(f"cannot draw: the EGL library ended its process ({code}): {REMEDY}")
+    return [devices[i] for i in sorted(devices)]
+
+
+def _open(egl: Egl, handles: list[int], index: int) -> GlContext:
+    """Opens one device and checks that it has what the renderer needs."""
+    vendor, renderer, node, software = egl.describe(handles[index])
+    context = EglContext(egl, handles[index])
+    try:
+        get_string = context.function("glGetString", ctypes.c_char_p, ctypes.c_uint)
+        vendor, renderer, version = ((get_string(name) or b"").decode(errors="replace") for name in (0x1F00, 0x1F01, 0x1F02))
+        software = software or any(name in renderer.lower() for name in _SOFTWARE_NAMES)
+        return GlContext(EglDevice(index, vendor, renderer, version, node, software, usable=True), context)
+    except BaseException:
+        context.release()
+        raise
+
+
+def _open_best(egl: Egl, handles: list[int]) -> GlContext:
+    """Opens the first GPU that works, else software."""
+    hardware_first = sorted(range(len(handles)), key=lambda i: egl.describe(handles[i])[3])
+    fallback: GlContext | None = None
+    problems = []
+    for index in hardware_first:
+        try:
+            context = _open(egl, handles, index)
+        except GraphicsUnavailableError as e:
+            problems.append(f"device {index}: {e}")
+            continue
+        if not context.device.software:
+            if fallback is not None:
+                fallback.close()
+                context.make_current()
+            return context
+        if fallback is None:
+            fallback = context
+        else:
+            context.close()
+    if fallback is None:
+        raise GraphicsUnavailableError(f"cannot draw: no EGL device works ({'; '.join(problems)}): {REMEDY}")
+    fallback.make_current()
+    reason = f" ({'; '.join(problems)})" if problems else ""
+    _log.warning("no GPU can draw here%s: drawing in software, on EGL device %d, %s", reason, fallback.device.index, fallback.device.renderer)
+    return fallback
+
+
+def _run_probe(library: str, start: int) -> tuple[list[dict[str, object]] | list, str]:  # type: ignore[type-arg]
+    """Returns the lines that ``_probe`` printed in a child, and how the child ended."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    command = [sys.executable, "-c", _PROBE, library, str(start)]
+    try:
+        done = subprocess.run(command, env=environment, capture_output=True, timeout=_PROBE_TIMEOUT_S, check=False)
+        out, code = done.stdout, f"signal {-done.returncode}" if done.returncode < 0 else f"exit code {done.returncode}"
+    except subprocess.TimeoutExpired as e:
+        out, code = e.stdout or b"", f"no answer in {_PROBE_TIMEOUT_S:.0f} s"
+    return [json.loads(line) for line in out.splitlines() if line.startswith(b"{")], code
+
+
+def _probe(library: str, start: int) -> None:
+    """Prints each device from ``start`` on as a line of JSON, first all untried, then each again as it is tried."""
+    out = sys.__stdout__
+    assert out is not None
+
+    def say(line: dict[str, object]) -> None:
+        out.write(json.dumps(line) + "\n")
+        out.flush()
+
+    try:
+        egl = Egl(library)
+        handles = egl.devices()
+    except GraphicsUnavailableError as e:
+        return say({"fatal": str(e)})
+    untried = []
+    for index in range(start, len(handles)):
+        vendor, renderer, node, software = egl.describe(handles[index])
+        untried.append(EglDevice(index, vendor, renderer, "", node, software))
+        say(asdict(untried[-1]))
+    for device in untried:
+        try:
+            context = _open(egl, handles, device.index)
+        except GraphicsUnavailableError as e:
+            say(asdict(replace(device, problem=str(e))))
+        else:
+            say(asdict(context.device))
+            context.close()
+    return None

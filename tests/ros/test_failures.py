@@ -1,0 +1,117 @@
+"""What goes wrong, what it says, and what is left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from support.scenes import write_room, write_square_obj, write_triangle_glb
+from support.simulation import Launched, require, wait_until
+
+require("rclpy", "gibson_msgs")
+
+from rosbags.highlevel import AnyReader  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+
+def test_mesh_cut_in_half_is_named_in_one_line(ros_domain: int, tmp_path: Path) -> None:
+    room = write_room(tmp_path / "room", "  - {name: thing, mesh: thing.glb}\n")
+    whole = write_triangle_glb(room / "thing.glb").read_bytes()
+    (room / "thing.glb").write_bytes(whole[: len(whole) // 2])
+    launched = Launched("run", "--scene", str(room))
+    assert launched.wait() == 1
+    assert launched.lines[-1].startswith("error:")
+    assert "thing.glb" in launched.lines[-1]
+    assert not any("Traceback" in line for line in launched.lines)
+
+
+def test_missing_texture_warns_and_draws(ros_domain: int, tmp_path: Path) -> None:
+    room = write_room(tmp_path / "room", "  - {name: square, mesh: square.obj, pose: {xyz: [1.0, 0.0, 0.0]}}\n")
+    write_square_obj(room, "not_there.png")
+    launched = Launched("run", "--scene", str(room), "--duration", "1.5")
+    assert launched.wait() == 0, "\n".join(launched.lines)
+    assert any("WARN" in line and "not_there.png" in line for line in launched.lines)
+    assert any("render: camera camera, " in line and " 0 images" not in line for line in launched.lines)
+
+
+def test_machine_without_egl_is_told_which_packages_bring_it(ros_domain: int, tmp_path: Path) -> None:
+    launched = Launched("run", "--scene", str(write_room(tmp_path)), "--egl-library", "libNoSuchEGL.so.1")
+    assert launched.wait() == 1
+    error = next(line for line in launched.lines if line.startswith("error:"))
+    assert "libNoSuchEGL.so.1" in error
+    assert "libegl1" in error
+
+
+def test_physics_runs_alone_without_egl(ros_domain: int, tmp_path: Path) -> None:
+    launched = Launched("run", "--scene", str(write_room(tmp_path)), "--no-render", "--duration", "1", "--rate", "max")
+    assert launched.wait() == 0, "\n".join(launched.lines)
+    assert any("1.00 s simulated" in line for line in launched.lines)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_stopped_run_ends_with_zero_and_leaves_nothing_behind(ros_domain: int, tmp_path: Path, number: signal.Signals) -> None:
+    before = _shared_memory()
+    launched = Launched("run", "--scene", str(write_room(tmp_path)))
+    launched.wait_for_line("triangles")
+    pids = [launched.node_pid("physics"), launched.node_pid("render")]
+    assert launched.stop(number) == 0, "\n".join(launched.lines)
+    assert not any(_alive(pid) for pid in pids)
+    assert _shared_memory() - before == set()
+
+
+def test_nodes_end_when_the_launcher_is_killed(ros_domain: int, tmp_path: Path) -> None:
+    launched = Launched("run", "--scene", str(write_room(tmp_path)))
+    launched.wait_for_line("triangles")
+    pids = [launched.node_pid("physics"), launched.node_pid("render")]
+    launched.stop(signal.SIGKILL)
+    wait_until(lambda: not any(_alive(pid) for pid in pids), "end of the nodes")
+
+
+def test_death_of_physics_ends_the_run_and_its_shared_memory_is_cleaned_up(ros_domain: int, tmp_path: Path) -> None:
+    before = _shared_memory()
+    launched = Launched("run", "--scene", str(write_room(tmp_path)))
+    launched.wait_for_line("triangles")
+    os.kill(launched.node_pid("physics"), signal.SIGKILL)
+    assert launched.wait() == 4
+    assert any("the physics node ended with code -9" in line for line in launched.lines)
+    assert _shared_memory() - before == set()
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 60 MB of our own."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=60m", "tmpfs", str(folder)], capture_output=True, check=False)
+    if mounted.returncode != 0:
+        pytest.skip("SKIPPED: a small disk can be made by root alone; tests/unit/bags covers a full disk without it")
+    yield folder
+    subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def test_full_disk_ends_the_recording_and_not_the_run(ros_domain: int, tmp_path: Path, small_disk: Path) -> None:
+    launched = Launched(
+        "run", "--scene", str(write_room(tmp_path / "room")), "--duration", "6", "--record", str(small_disk / "bag"), "--reserve-mb", "10"
+    )
+    assert launched.wait() == 5, "\n".join(launched.lines)
+    assert any("the recording ended early" in line and "the simulation goes on" in line for line in launched.lines)
+    assert any("6.00 s simulated" in line for line in launched.lines)
+    with AnyReader([small_disk / "bag"]) as reader:
+        images = sum(1 for c, _, data in reader.messages() if c.topic == "/camera/image_raw" and len(data) > 640 * 480 * 3)
+    assert images > 3
+
+
+def _alive(pid: int) -> bool:
+    try:
+        return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except FileNotFoundError:
+        return False
+
+
+def _shared_memory() -> set[str]:
+    return {p.name for p in Path("/dev/shm").iterdir() if "fastrtps" in p.name}
