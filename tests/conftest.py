@@ -8,10 +8,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.simulation import Listener, require
 
 from gibson_sim.cli.processes import DomainLock
 from gibson_sim.errors import AlreadyRunningError
+from support.simulation import Listener, require
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -24,7 +24,7 @@ def root() -> Path:
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
-    """The folder with worlds and robots that other people made: ``$GIBSON_SIM_TEST_DATA``, or ``shared/data`` beside this clone."""
+    """The folder with worlds that other people made: ``$GIBSON_SIM_TEST_DATA``, or ``shared/data`` beside this clone."""
     folder = Path(os.environ.get("GIBSON_SIM_TEST_DATA", ROOT.parent / "shared" / "data"))
     if not folder.is_dir():
         message = f"SKIPPED: no real worlds at {folder}; set GIBSON_SIM_TEST_DATA to a folder that holds them"

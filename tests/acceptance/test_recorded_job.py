@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+
 from support.simulation import Launched, require
 
 require("rclpy", "gibson_msgs")
@@ -49,7 +50,7 @@ WORLDS = {"flat": "flat", "aws": "aws_small_house", "living_room": "drake_living
 
 
 @pytest.fixture(scope="module", params=WORLDS)
-def job(request: pytest.FixtureRequest, ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Job]:
+def job(request: pytest.FixtureRequest, ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Job:
     scene = WORLDS[request.param]
     if scene != "flat":
         scene = str(request.getfixturevalue("data_dir") / scene)
@@ -63,7 +64,7 @@ def job(request: pytest.FixtureRequest, ros_domain: int, tmp_path_factory: pytes
     with AnyReader([folder / "bag"], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         for connection, _, data in reader.messages():
             messages.setdefault(connection.topic, []).append(reader.deserialize(data, connection.msgtype))
-    yield Job(scene, folder, launched.lines, code, messages)
+    return Job(scene, folder, launched.lines, code, messages)
 
 
 def test_job_ends_by_itself_with_exit_code_zero(job: Job) -> None:
@@ -93,9 +94,17 @@ def test_every_image_has_the_stamp_of_an_odometry_and_of_its_camera_info(job: Jo
 
 
 def test_stamps_rise_on_every_topic(job: Job) -> None:
-    for topic in ("/odom", "/ground_truth/odom", "/joint_states", "/scan", "/camera/image_raw", "/camera/depth/image_raw", "/scene_state"):
+    for topic in (
+        "/odom",
+        "/ground_truth/odom",
+        "/joint_states",
+        "/scan",
+        "/camera/image_raw",
+        "/camera/depth/image_raw",
+        "/scene_state",
+    ):
         stamps = job.stamps(topic)
-        assert all(a < b for a, b in zip(stamps, stamps[1:], strict=False)), topic
+        assert all(a < b for a, b in pairwise(stamps)), topic
 
 
 def test_robot_toured_and_its_odometry_is_within_two_per_cent_of_the_truth(job: Job) -> None:

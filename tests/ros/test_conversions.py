@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 import pytest
+
 from support.simulation import require
 
 require("rclpy", "gibson_msgs")
 
 from geometry_msgs.msg import Twist  # noqa: E402
-from hypothesis import given  # noqa: E402
-from hypothesis import strategies as st  # noqa: E402
+from hypothesis import given, strategies as st  # noqa: E402
 
 from gibson_sim.errors import CommandError, SceneError  # noqa: E402
 from gibson_sim.robots.spec import Shape, VisualSpec  # noqa: E402
@@ -36,7 +36,9 @@ def _scene() -> DrawnScene:
         content_hash="abc",
         links=("robot/base", "robot/eye"),
         visuals=(
-            VisualSpec("wall", "", Shape("mesh", (1.0, 2.0, -1.0), "/a/b.glb"), Pose((1, 2, 3), (0, 0, quarter, quarter)), None, "wall"),
+            VisualSpec(
+                "wall", "", Shape("mesh", (1.0, 2.0, -1.0), "/a/b.glb"), Pose((1, 2, 3), (0, 0, quarter, quarter)), None, "wall"
+            ),
             VisualSpec("body", "robot/base", Shape("cylinder", (0.2, 0.3, 0.0)), Pose(), (0.5, 0.25, 0.125, 1.0), ""),
         ),
         cameras=(CameraSpec("cam", "robot/eye", Pose((0.1, 0, 0)), 320, 200, 1.0, 0.1, 10.0, 15.0, ("depth",)),),

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
 from support.scenes import write_room, write_square_obj, write_triangle_glb
 from support.simulation import Launched, require, wait_until
 
@@ -96,7 +97,15 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 def test_full_disk_ends_the_recording_and_not_the_run(ros_domain: int, tmp_path: Path, small_disk: Path) -> None:
     launched = Launched(
-        "run", "--scene", str(write_room(tmp_path / "room")), "--duration", "6", "--record", str(small_disk / "bag"), "--reserve-mb", "10"
+        "run",
+        "--scene",
+        str(write_room(tmp_path / "room")),
+        "--duration",
+        "6",
+        "--record",
+        str(small_disk / "bag"),
+        "--reserve-mb",
+        "10",
     )
     assert launched.wait() == 5, "\n".join(launched.lines)
     assert any("the recording ended early" in line and "the simulation goes on" in line for line in launched.lines)

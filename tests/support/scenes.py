@@ -53,6 +53,7 @@ def write_square_obj(folder: Path, texture: str) -> Path:
     (folder / "square.mtl").write_text(f"newmtl m\nKd 0.9 0.1 0.1\nmap_Kd {texture}\n")
     path = folder / "square.obj"
     path.write_text(
-        "mtllib square.mtl\nv 0 -0.5 0\nv 0 0.5 0\nv 0 0.5 1\nv 0 -0.5 1\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl m\nf 1/1 2/2 3/3 4/4\n"
+        "mtllib square.mtl\nv 0 -0.5 0\nv 0 0.5 0\nv 0 0.5 1\nv 0 -0.5 1\n"
+        "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl m\nf 1/1 2/2 3/3 4/4\n"
     )
     return path

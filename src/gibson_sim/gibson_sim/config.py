@@ -22,7 +22,13 @@ class Settings(Protocol):
 
 
 def setting(
-    default: Value, doc: str, *, unit: str = "", minimum: float = -math.inf, maximum: float = math.inf, choices: tuple[str, ...] = ()
+    default: Value,
+    doc: str,
+    *,
+    unit: str = "",
+    minimum: float = -math.inf,
+    maximum: float = math.inf,
+    choices: tuple[str, ...] = (),
 ) -> Any:
     """Returns a dataclass field with its default, meaning, unit and limits; the type of the default is the field's type."""
     return field(
@@ -58,16 +64,26 @@ class PhysicsConfig:
 
     scene: str = setting("flat", "Scene: a name, a folder with scene.yaml, a world file (SDF, Drake directives) or a mesh file")
     robot: str = setting("gibson_bot", "Robot: a name, a folder with robot.yaml, or that file")
-    start: str = setting("", "Where the robot starts: the name of a start pose, or x,y,yaw_deg; empty = the scene's first, or the most open place")  # fmt: skip
+    start: str = setting("", "Name of a start pose, or x,y,yaw_deg; empty = the scene's first start pose, or its most open place")
     step_hz: int = setting(240, "Physics steps in a second of simulation time", unit="Hz", minimum=60, maximum=10_000)
     clock_hz: int = setting(120, "Rate of /clock in simulation time; must divide step_hz", unit="Hz", minimum=1, maximum=1000)
-    publish_hz: int = setting(60, "Rate of tf, odometry, joint states and scene state; must divide clock_hz", unit="Hz", minimum=1, maximum=1000)  # fmt: skip
+    publish_hz: int = setting(
+        60, "Rate of tf, odometry, joint states and scene state; must divide clock_hz", unit="Hz", minimum=1, maximum=1000
+    )
     rate: float = setting(1.0, "Speed of simulation time against wall time; 0 = as fast as possible", minimum=0.0, maximum=1000.0)
     duration: float = setting(0.0, "End after so much simulation time; 0 = never", unit="s", minimum=0.0)
-    cmd_vel_timeout: float = setting(0.5, "A velocity command older than this (simulation time) stops the robot", unit="s", minimum=0.01, maximum=60.0)  # fmt: skip
-    publish_map_tf: bool = setting(False, "Publish map -> odom from ground truth: a perfect localiser. Leave it off where AMCL or SLAM runs")  # fmt: skip
-    camera_rate: float = setting(0.0, "Images a second for every camera; 0 = as the robot's file says", unit="Hz", minimum=0.0, maximum=1000.0)  # fmt: skip
-    wait_for: str = setting("", "Hold the first tick until topics have so many subscribers, e.g. `scene_state:1,odom:2` (120 s at most)")  # fmt: skip
+    cmd_vel_timeout: float = setting(
+        0.5, "A velocity command older than this (simulation time) stops the robot", unit="s", minimum=0.01, maximum=60.0
+    )
+    publish_map_tf: bool = setting(
+        False, "Publish map -> odom from ground truth: a perfect localiser. Leave it off where AMCL or SLAM runs"
+    )
+    camera_rate: float = setting(
+        0.0, "Images a second for every camera; 0 = as the robot's file says", unit="Hz", minimum=0.0, maximum=1000.0
+    )
+    wait_for: str = setting(
+        "", "Hold the first tick until topics have so many subscribers, e.g. `scene_state:1,odom:2` (120 s at most)"
+    )
     summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
 
     def __post_init__(self) -> None:
@@ -78,7 +94,9 @@ class PhysicsConfig:
                     f"setting {coarse!r} is {getattr(self, coarse)} Hz, must divide {fine!r}, which is {getattr(self, fine)} Hz"
                 )
         if self.camera_rate > self.publish_hz:
-            raise ConfigError(f"setting 'camera_rate' is {self.camera_rate:g} Hz, must be at most 'publish_hz', {self.publish_hz} Hz")
+            raise ConfigError(
+                f"setting 'camera_rate' is {self.camera_rate:g} Hz, must be at most 'publish_hz', {self.publish_hz} Hz"
+            )
         self.wanted_subscribers()
 
     def wanted_subscribers(self) -> dict[str, int]:
@@ -96,7 +114,9 @@ class PhysicsConfig:
 class RenderConfig:
     """Settings of the render node."""
 
-    egl_device: int = setting(-1, "EGL device to draw with, as listed by `gibson-sim doctor`; -1 = a GPU if there is one, else software", minimum=-1, maximum=255)  # fmt: skip
+    egl_device: int = setting(
+        -1, "EGL device, as listed by `gibson-sim doctor`; -1 = a GPU if there is one, else software", minimum=-1, maximum=255
+    )
     egl_library: str = setting("libEGL.so.1", "Library that offers EGL: a file name for the loader, or a path")
     cameras: str = setting("", "Names of the cameras to draw, separated by commas; empty = all of the scene")
     summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
@@ -112,7 +132,9 @@ class DriveConfig:
     drive: str = setting("tour", "tour, forward, square, spin, keyboard, or a file with lines `linear angular seconds`")
     scene: str = setting("flat", "Scene to plan the tour in; only for tour")
     robot: str = setting("gibson_bot", "Robot whose size the tour keeps clear; only for tour")
-    length: float = setting(0.0, "Length of the drive; 0 = 30 m for a tour, 2 m for forward", unit="m", minimum=0.0, maximum=10_000.0)
+    length: float = setting(
+        0.0, "Length of the drive; 0 = 30 m for a tour, 2 m for forward", unit="m", minimum=0.0, maximum=10_000.0
+    )
     linear: float = setting(0.4, "Greatest forward speed", unit="m/s", minimum=0.01, maximum=10.0)
     angular: float = setting(1.2, "Greatest turning speed", unit="rad/s", minimum=0.01, maximum=20.0)
     stamped: bool = setting(False, "Send TwistStamped instead of Twist")

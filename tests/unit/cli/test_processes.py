@@ -16,7 +16,9 @@ from gibson_sim.errors import AlreadyRunningError
 
 def test_second_simulation_in_a_domain_is_refused_and_told_what_to_do(tmp_path: Path) -> None:
     first = DomainLock(7, tmp_path)
-    with pytest.raises(AlreadyRunningError, match=r"runs in ROS domain 7 already \(process \d+\): stop it, or choose another domain"):
+    with pytest.raises(
+        AlreadyRunningError, match=r"runs in ROS domain 7 already \(process \d+\): stop it, or choose another domain"
+    ):
         DomainLock(7, tmp_path)
     first.close()
     DomainLock(7, tmp_path).close()

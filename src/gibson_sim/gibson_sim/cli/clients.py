@@ -15,7 +15,9 @@ from gibson_sim.config import DriveConfig, RecordConfig, SnapshotConfig
 def add_parsers(subparsers: Any) -> None:
     """Adds the three sub-commands."""
     drive = subparsers.add_parser("drive", help="drive the robot of a running simulation: tour, script or keyboard")
-    drive.add_argument("drive", nargs="?", default="keyboard", help="tour, forward, square, spin, keyboard, or a file (default: keyboard)")
+    drive.add_argument(
+        "drive", nargs="?", default="keyboard", help="tour, forward, square, spin, keyboard, or a file (default: keyboard)"
+    )
     add_settings(drive, DriveConfig, ("scene", "robot", "length", "linear", "angular", "stamped"))
     drive.set_defaults(run=lambda args: _become("drive", DriveConfig, args))
 

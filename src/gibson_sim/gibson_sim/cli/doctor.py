@@ -39,7 +39,9 @@ class Finding:
 
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
-    parser = subparsers.add_parser("doctor", help="check Python, ROS, graphics, DDS and disk, and say how to mend what does not work")
+    parser = subparsers.add_parser(
+        "doctor", help="check Python, ROS, graphics, DDS and disk, and say how to mend what does not work"
+    )
     parser.add_argument("--json", action="store_true", help="as JSON")
     parser.set_defaults(run=run)
 
@@ -86,16 +88,28 @@ def _try(code: str) -> tuple[bool, str]:
 def _ros() -> Iterator[Finding]:
     source = "from pip" if in_wheels() else "from the ROS installation"
     ok, text = _try("import rclpy; rclpy.init(); print(rclpy.get_rmw_implementation_identifier()); rclpy.try_shutdown()")
-    yield Finding("rclpy", "ok" if ok else "FAIL", f"{source}, {text}" if ok else text, "" if ok else "run `make setup`, or source your ROS 2 Jazzy installation")
+    yield Finding(
+        "rclpy",
+        "ok" if ok else "FAIL",
+        f"{source}, {text}" if ok else text,
+        "" if ok else "run `make setup`, or source your ROS 2 Jazzy installation",
+    )
     for package, needed in (("gibson_msgs", True), ("tf2_msgs", True), ("simulation_interfaces", False)):
         ok, text = _try(f"import {package}; print({package}.__path__[0])")
-        remedy = "" if ok else "run `make setup`, or build the workspace: cd ros_ws && colcon build, then source install/setup.bash"
+        remedy = (
+            "" if ok else "run `make setup`, or build the workspace: cd ros_ws && colcon build, then source install/setup.bash"
+        )
         yield Finding(package, "ok" if ok else ("FAIL" if needed else "warn"), text, remedy)
 
 
 def _physics() -> Iterator[Finding]:
     ok, text = _try("import pybullet as p; c = p.connect(p.DIRECT); print('PyBullet', p.getAPIVersion(c))")
-    yield Finding("physics", "ok" if ok else "FAIL", text, "" if ok else "run `make setup`; on CPython 3.12 PyBullet is compiled, which takes some minutes")
+    yield Finding(
+        "physics",
+        "ok" if ok else "FAIL",
+        text,
+        "" if ok else "run `make setup`; on CPython 3.12 PyBullet is compiled, which takes some minutes",
+    )
 
 
 _DEVICES = """
@@ -107,7 +121,9 @@ _DRAW = "from gibson_sim.render.self_test import self_test; print(self_test())"
 
 
 def _graphics() -> Iterator[Finding]:
-    remedy = "Debian/Ubuntu: apt install libegl1 libegl-mesa0 libgl1-mesa-dri; NVIDIA in a container: give it the graphics capability"
+    remedy = (
+        "Debian/Ubuntu: apt install libegl1 libegl-mesa0 libgl1-mesa-dri; NVIDIA in a container: give it the graphics capability"
+    )
     ok, text = _try(_DEVICES)
     if not ok:
         yield Finding("EGL", "FAIL", text, remedy)
@@ -136,7 +152,12 @@ def _dds() -> Iterator[Finding]:
     else:
         yield Finding("DDS profile", "ok", ours)
     ok, text = _try("from gibson_sim.ros.dds_check import main; main()")
-    yield Finding("large images", "ok" if ok else "FAIL", text, "" if ok else "is a firewall or a foreign DDS profile in the way? try ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST")
+    yield Finding(
+        "large images",
+        "ok" if ok else "FAIL",
+        text,
+        "" if ok else "is a firewall or a foreign DDS profile in the way? try ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST",
+    )
 
 
 def _free_mb(path: Path) -> float:
@@ -161,7 +182,12 @@ def _disk() -> Iterator[Finding]:
     for name, path in (("disk here", Path.cwd()), ("temporary files", Path(tempfile.gettempdir()))):
         free = _free_mb(path)
         good = free >= DISK_WANTED_MB
-        yield Finding(name, "ok" if good else "warn", f"{free / 1000:.1f} GB free in {path}", "" if good else "a minute of raw 640x480 RGB and depth takes 4 GB")
+        yield Finding(
+            name,
+            "ok" if good else "warn",
+            f"{free / 1000:.1f} GB free in {path}",
+            "" if good else "a minute of raw 640x480 RGB and depth takes 4 GB",
+        )
 
 
 def _domain() -> Iterator[Finding]:
@@ -174,5 +200,3 @@ def _domain() -> Iterator[Finding]:
         yield Finding("domain", "FAIL", str(error), "unset ROS_DOMAIN_ID")
     else:
         yield Finding("domain", "ok", f"ROS_DOMAIN_ID {domain_id}, no simulation of ours runs in it")
-
-

@@ -37,7 +37,7 @@ def node_environment(environment: Mapping[str, str] | None = None, *, domain_id:
     base = dict(os.environ if environment is None else environment)
     if in_wheels() and base.get("RMW_IMPLEMENTATION", RMW) != RMW:
         raise EnvironmentProblemError(
-            f"RMW_IMPLEMENTATION is {base['RMW_IMPLEMENTATION']!r}, but ROS from pip has {RMW} alone: unset it, or use a ROS installation"
+            f"RMW_IMPLEMENTATION is {base['RMW_IMPLEMENTATION']!r}, but ROS from pip has {RMW} alone: unset it"
         )
     base.update(ros_variables(base))
     base["PYTHONUNBUFFERED"] = "1"
@@ -80,5 +80,3 @@ def require_nodes() -> None:
             f"this Python ({sys.executable}) has no {', '.join(missing)}: run `make setup` and use .venv/bin/gibson-sim, "
             "or source your ROS workspace"
         )
-
-

@@ -29,7 +29,8 @@ def markdown() -> str:
     for node, cls in NODE_CONFIGS.items():
         rows = ["| parameter | type | default | allowed | meaning |", "|---|---|---|---|---|"]
         rows += [
-            f"| `{f.name}` | {type(f.default).__name__} | `{f.default!r}` | {allowed(f)} | {f.metadata['doc']} |" for f in fields(cls)
+            f"| `{f.name}` | {type(f.default).__name__} | `{f.default!r}` | {allowed(f)} | {f.metadata['doc']} |"
+            for f in fields(cls)
         ]
         parts.append(f"### `{node}`\n\n" + "\n".join(rows) + "\n")
     return "\n".join(parts)

@@ -33,12 +33,24 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "run",
         help="start the simulation: both nodes, and a drive, a recording or a video if asked for",
-        description="Starts the physics node and the render node, and stops both on Ctrl-C, at --duration, or when --drive is done.",
+        description="Starts the physics and the render node, and stops both on Ctrl-C, at --duration or when the drive is done.",
     )
     add_settings(
         parser,
         PhysicsConfig,
-        ("scene", "robot", "start", "rate", "duration", "step_hz", "clock_hz", "publish_hz", "camera_rate", "cmd_vel_timeout", "publish_map_tf"),  # fmt: skip
+        (
+            "scene",
+            "robot",
+            "start",
+            "rate",
+            "duration",
+            "step_hz",
+            "clock_hz",
+            "publish_hz",
+            "camera_rate",
+            "cmd_vel_timeout",
+            "publish_map_tf",
+        ),
     )
     add_settings(parser, RenderConfig, ("egl_device", "egl_library", "cameras"))
     parser.add_argument("--no-render", action="store_true", help="physics alone, no images")
@@ -103,7 +115,9 @@ def _plan(args: argparse.Namespace, folder: Path) -> _Job:
         job.bag = Path(args.record) if args.record else folder / "bag"
         job.keep_bag = bool(args.record)
         if job.bag.exists() and (not job.bag.is_dir() or any(job.bag.iterdir())):
-            raise RecordError(f"--record {job.bag}: it is there already and is not an empty folder; give another name or remove it")
+            raise RecordError(
+                f"--record {job.bag}: it is there already and is not an empty folder; give another name or remove it"
+            )
         record = {"output": str(job.bag), "summary_path": str(folder / "record.json")}
         job.configs["record"] = settings_from_args(RecordConfig, args, duration=0.0, **record)
         waits = {STATE_TOPIC: waits.get(STATE_TOPIC, 0) + 1, TRUTH_TOPIC: waits.get(TRUTH_TOPIC, 0) + 1}
@@ -178,7 +192,8 @@ class _Run:
                 _say(f"error: the recording ended early: {node.last_error()}; the simulation goes on")
                 self._code = ExitCode.RECORDING_ENDED_EARLY
             else:
-                _say(f"error: {node.last_error() if code == USER_ERROR else f'the {name} node ended with code {code}: {node.last_error()}'}")
+                died = "" if code == USER_ERROR else f"the {name} node ended with code {code}: "
+                _say(f"error: {died}{node.last_error()}")
                 self._code = ExitCode.ERROR if code == USER_ERROR else ExitCode.NODE_DIED
                 return True
         return False
@@ -224,7 +239,10 @@ def _summary_lines(found: dict[str, dict[str, Any]], restarts: int) -> list[str]
     if restarts:
         lines.append(f"render: started again {restarts} times")
     if b := found["record"]:
-        lines.append(f"record: {sum(b['messages'].values())} messages on {len(b['messages'])} topics" + (f", {b['error']}" if b["error"] else ""))
+        lines.append(
+            f"record: {sum(b['messages'].values())} messages on {len(b['messages'])} topics"
+            + (f", {b['error']}" if b["error"] else "")
+        )
     return lines
 
 

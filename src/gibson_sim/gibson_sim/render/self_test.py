@@ -35,4 +35,5 @@ def self_test(device: int | None = None) -> str:
             f"{info['renderer']} draws wrongly: a red box 2.5 m ahead came out at {middle:g} m, colour {red},{green},{blue}; "
             "try another device with --egl-device"
         )
-    return f"a box came out right on {info['renderer']} ({'software, no GPU' if info['software'] else 'GPU'}), OpenGL {info['version']}"
+    kind = "software, no GPU" if info["software"] else "GPU"
+    return f"a box came out right on {info['renderer']} ({kind}), OpenGL {info['version']}"

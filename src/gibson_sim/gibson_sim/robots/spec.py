@@ -19,7 +19,7 @@ class Shape:
 
     kind: ShapeKind
     size: Vec3 = (1.0, 1.0, 1.0)
-    """mesh: scale factors along x, y, z; box: edge lengths; sphere: (radius, 0, 0); cylinder about z: (radius, length, 0). Metres."""
+    """mesh: scale factors along x, y, z; box: edge lengths; sphere: (radius, 0, 0); cylinder about z: (radius, length, 0); m."""
     mesh: str = ""
     """Absolute path of the mesh file; empty for primitives."""
 
@@ -61,6 +61,9 @@ class DriveSpec:
     """rad/s^2."""
     max_wheel_torque: float = 10.0
     """N m."""
+    left_sign: float = 1.0
+    """+1 when a positive turn of the left joint rolls the robot forward, -1 when its axis points the other way."""
+    right_sign: float = 1.0
 
     def __post_init__(self) -> None:
         for name in (

@@ -13,17 +13,13 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Pose as RosPose
-from geometry_msgs.msg import TransformStamped, Twist, Vector3
-from gibson_msgs.msg import Camera as RosCamera
-from gibson_msgs.msg import Scene as RosScene
-from gibson_msgs.msg import SceneState as RosSceneState
-from gibson_msgs.msg import Visual as RosVisual
+from geometry_msgs.msg import Pose as RosPose, TransformStamped, Twist, Vector3
 from nav_msgs.msg import Odometry as RosOdometry
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image, JointState, LaserScan
 from std_msgs.msg import ColorRGBA, Header
 
+from gibson_msgs.msg import Camera as RosCamera, Scene as RosScene, SceneState as RosSceneState, Visual as RosVisual
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import quat_from_rpy
 from gibson_sim.robots.spec import Shape, ShapeKind, VisualSpec
@@ -344,7 +340,9 @@ def frame_to_image_msgs(frame: Frame) -> dict[str, Image | CameraInfo]:
 def array_from_image(msg: Image) -> NDArray[Any]:
     """Returns the pixels of an ``rgb8`` image, (H, W, 3) uint8, or of a ``32FC1`` image, (H, W) float32."""
     if msg.encoding == "rgb8":
-        return np.frombuffer(msg.data, np.uint8).reshape(msg.height, msg.step)[:, : msg.width * 3].reshape(msg.height, msg.width, 3)
+        return (
+            np.frombuffer(msg.data, np.uint8).reshape(msg.height, msg.step)[:, : msg.width * 3].reshape(msg.height, msg.width, 3)
+        )
     if msg.encoding == "32FC1":
         return np.frombuffer(msg.data, np.float32).reshape(msg.height, msg.step // 4)[:, : msg.width]
     raise SceneError(f"image has encoding {msg.encoding!r}, known: rgb8, 32FC1")

@@ -100,7 +100,7 @@ class DriveNode(Node):
     def _complain_if_alone(self) -> None:
         if not self.count_publishers(names.GROUND_TRUTH):
             self.get_logger().warning(
-                f"nobody publishes {names.GROUND_TRUTH}: is a simulation running in domain {os.environ.get('ROS_DOMAIN_ID', '0')}?"
+                f"nobody publishes {names.GROUND_TRUTH}: does a simulation run in domain {os.environ.get('ROS_DOMAIN_ID', '0')}?"
             )
 
     def spin(self) -> int:

@@ -88,8 +88,8 @@ class PhysicsNode(Node):
         self._stamped = _StampedCommands(self, self._commands)
         self._publish_latched()
         self.get_logger().info(
-            f"scene {scene.name}: {len(scene.visuals)} visuals, {len(scene.collisions)} collision shapes; robot {self._robot.name} at "
-            f"{self._robot.start.position[0]:.2f},{self._robot.start.position[1]:.2f}"
+            f"scene {scene.name}: {len(scene.visuals)} visuals, {len(scene.collisions)} collision shapes; "
+            f"{self._robot.name} at {self._robot.start.position[0]:.2f},{self._robot.start.position[1]:.2f}"
         )
 
     def _refuse_second_simulation(self) -> None:
@@ -118,7 +118,9 @@ class PhysicsNode(Node):
         self._cameras = drawn.cameras
         self._scene_pub.publish(conversions.scene_to_msg(drawn, self.world.stamp_ns))
         self._description_pub.publish(String(data=self._robot.urdf.read_text(encoding="utf-8")))
-        transforms = [conversions.transform_to_msg(0, parent, child, pose) for parent, child, pose in self._robot.fixed_transforms]
+        transforms = [
+            conversions.transform_to_msg(0, parent, child, pose) for parent, child, pose in self._robot.fixed_transforms
+        ]
         known = {t.child_frame_id for t in transforms}
         for camera in self._robot.cameras:
             if camera.optical_frame not in known:
@@ -245,9 +247,7 @@ class PhysicsNode(Node):
                 KeyValue(key="refused_commands", value=str(self._lost_commands)),
             ],
         )
-        self._diagnostics_pub.publish(
-            DiagnosticArray(header=conversions.header_to_msg(sim_ns, ""), status=[status])
-        )
+        self._diagnostics_pub.publish(DiagnosticArray(header=conversions.header_to_msg(sim_ns, ""), status=[status]))
 
     def summary(self) -> dict[str, Any]:
         """Returns what was measured since the first tick."""
@@ -287,7 +287,9 @@ class _StampedCommands:
     def __init__(self, node: Node, commands: deque[Twist]) -> None:
         self._context = rclpy.Context()
         self._context.init(domain_id=node.context.get_domain_id())
-        self._node = Node("physics_stamped_commands", namespace=node.get_namespace(), context=self._context, use_global_arguments=False)
+        self._node = Node(
+            "physics_stamped_commands", namespace=node.get_namespace(), context=self._context, use_global_arguments=False
+        )
         topic = node.resolve_topic_name(names.CMD_VEL)
         self._node.create_subscription(TwistStamped, topic, lambda msg: commands.append(msg.twist), qos.COMMAND)
         self._executor = SingleThreadedExecutor(context=self._context)

@@ -1,6 +1,7 @@
 """Quality of service of every topic.
 
-Sensor data is published reliable (REP 2003): a reliable reader never matches a best-effort writer, a best-effort reader matches both.
+Sensor data is published reliable (REP 2003): a reliable reader never matches a best-effort writer, while a best-effort
+reader matches both.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ class RecordNode(Node):
             self._record(topic, publishers)
         if names.CLOCK in found and names.CLOCK not in self._seen and (not self._wanted or names.CLOCK in self._wanted):
             self._seen.add(names.CLOCK)
-            self._writer.add_topic(names.CLOCK, "rosgraph_msgs/msg/Clock", _bag_qos(qos.CLOCK))
+            self._writer.add_topic(names.CLOCK, "rosgraph_msgs/msg/Clock", qos.CLOCK)
 
     def _record(self, topic: str, publishers: list[Any]) -> None:
         """Subscribes to one topic, as reliable and as latched as its publishers allow."""
@@ -95,7 +95,7 @@ class RecordNode(Node):
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         )
         try:
-            self._writer.add_topic(topic, type_name, _bag_qos(profile))
+            self._writer.add_topic(topic, type_name, profile)
         except RecordError as error:
             self.get_logger().warning(f"{topic} is not recorded: {error}")
             return
@@ -143,7 +143,9 @@ class RecordNode(Node):
             while rclpy.ok() and not self._done:
                 rclpy.spin_once(self, timeout_sec=0.2)
                 if not warned and not self._now_ns and time.monotonic() - started > 30.0:
-                    self.get_logger().warning("nothing is recorded yet: no /clock arrives; is a simulation running in this domain?")
+                    self.get_logger().warning(
+                        "nothing is recorded yet: no /clock arrives; is a simulation running in this domain?"
+                    )
                     warned = True
         except (KeyboardInterrupt, ExternalShutdownException):
             pass
@@ -156,10 +158,6 @@ class RecordNode(Node):
             bag.close()
             summary = {"bag": self._config.output, "messages": self._counts, "error": self._error}
             write_summary(self._config.summary_path, summary)
-
-
-def _bag_qos(profile: QoSProfile) -> QoSProfile:
-    return profile
 
 
 def main(args: list[str] | None = None) -> None:

@@ -50,7 +50,9 @@ class RenderNode(Node):
         super().__init__("render", **kwargs)
         self._renderer: Renderer | None = None
         self._config = config_from_parameters(self, RenderConfig)
-        open_context(self._device, library=self._config.egl_library).close()  # fail now, with a clear message, not when the scene arrives
+        open_context(
+            self._device, library=self._config.egl_library
+        ).close()  # fail now, with a clear message, not when the scene arrives
         self._scene: DrawnScene | None = None
         self._image_publishers: dict[str, Publisher] = {}
         self._state_subscription: Any = None
@@ -91,8 +93,8 @@ class RenderNode(Node):
                     self._image_publishers[topic] = self.create_publisher(msg_type, topic, qos.SENSOR)
         info = self._renderer.info
         self.get_logger().info(
-            f"scene {scene.name}: {info['triangles']} triangles, {info['textures']} textures in {time.monotonic() - started:.1f} s, "
-            f"on {info['renderer']}"
+            f"scene {scene.name}: {info['triangles']} triangles, {info['textures']} textures "
+            f"in {time.monotonic() - started:.1f} s, on {info['renderer']}"
         )
         if self._state_subscription is None:
             self._state_subscription = self.create_subscription(SceneState, names.SCENE_STATE, self._on_state, qos.STATE)
@@ -115,7 +117,9 @@ class RenderNode(Node):
         try:
             frames = self._renderer.render(conversions.scene_state_from_msg(msg, self._scene.links), cameras)
         except GibsonSimError as error:
-            self.get_logger().warning(f"state at {conversions.time_from_msg(msg.header.stamp)} ns is not drawn: {error}", throttle_duration_sec=1.0)  # fmt: skip
+            self.get_logger().warning(
+                f"state at {conversions.time_from_msg(msg.header.stamp)} ns is not drawn: {error}", throttle_duration_sec=1.0
+            )
             return
         drawn = time.monotonic_ns()
         for frame in frames:
@@ -155,7 +159,7 @@ class RenderNode(Node):
 
 
 def take_waiting(subscription: Any) -> Iterator[Any]:
-    """Yields the messages that wait in a subscription's queue. The executor would hand them out one by one, each after a drawing."""
+    """Yields the messages that wait in a subscription's queue. The executor would hand out one, then draw, then the next."""
     with subscription.handle:
         while (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
             yield taken[0]

@@ -46,7 +46,9 @@ def start_pose(scene: SceneSpec, robot: RobotSpec, start: str) -> Pose:
         numbers = _three_numbers(start)
         if numbers is None:
             known = ", ".join(named) or "none in this scene"
-            raise ConfigError(f"start is {start!r}, must be x,y,yaw_deg in metres and degrees, or the name of a start pose: {known}")
+            raise ConfigError(
+                f"start is {start!r}, must be x,y,yaw_deg in metres and degrees, or the name of a start pose: {known}"
+            )
         x, y, yaw_deg = numbers
         return pose_from_xyz_rpy((x, y, scene.floor_z), (0.0, 0.0, math.radians(yaw_deg)))
     if scene.starts:

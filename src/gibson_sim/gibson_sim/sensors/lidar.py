@@ -1,4 +1,4 @@
-"""A planar lidar: which rays to cast, and what a driver reports for their distances (REP 117). Pure: a callable casts the rays."""
+"""A planar lidar: which rays to cast, and what a driver reports for their lengths (REP 117). Pure: a callable casts the rays."""
 
 from __future__ import annotations
 

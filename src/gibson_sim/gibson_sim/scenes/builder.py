@@ -1,0 +1,194 @@
+"""Collects what a scene file names and makes the SceneSpec of it: unique names, one list of warnings, the digest, the floor."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import SceneError, SceneNotFoundError
+from gibson_sim.geometry.transforms import pose_from_matrix
+from gibson_sim.robots.spec import Shape, VisualSpec
+from gibson_sim.scenes.mesh import MeshLoader, shape_triangles
+from gibson_sim.scenes.mesh_types import TO_Z_UP, UpAxis, merge
+from gibson_sim.scenes.spec import CollisionSpec, LightSpec, SceneSpec, StartPose
+from gibson_sim.types import Rgba, Vec3
+
+F64 = NDArray[np.float64]
+FAR_AWAY = 1e4
+"""Metres: whatever stands farther off is a mistake of the file."""
+_UP_FACING = 0.98
+_BIN = 0.02
+
+
+class SceneBuilder:
+    """A scene while it is read.
+
+    Args:
+        name: of the scene.
+        root: folder that its files lie in.
+        extra_roots: more folders that meshes may lie in, such as those of ``$GAZEBO_MODEL_PATH``.
+    """
+
+    def __init__(self, name: str, root: Path, extra_roots: Sequence[Path] = ()) -> None:
+        self.name = name
+        self.description = ""
+        self.root = Path(os.path.realpath(root))
+        self.roots = (self.root, *extra_roots)
+        self.loader = MeshLoader(self.roots, textures=False)
+        self.gravity: Vec3 = (0.0, 0.0, -9.81)
+        self.ground_z: float | None = None
+        self.floor_z: float | None = None
+        self.light = LightSpec()
+        self.starts: list[StartPose] = []
+        self.visuals: list[VisualSpec] = []
+        self.collisions: list[CollisionSpec] = []
+        self._visual_names: set[str] = set()
+        self._collision_names: set[str] = set()
+        self._warnings: list[str] = []
+        self._files: dict[Path, None] = {}
+
+    def warn(self, text: str) -> None:
+        """Keeps one line for the user, each only once; paths under the root are shortened."""
+        short = text.replace(f"{self.root}{os.sep}", "")
+        if short not in self._warnings:
+            self._warnings.append(short)
+
+    def read_bytes(self, path: Path) -> bytes:
+        """Returns the content of a description file, which becomes part of the digest."""
+        try:
+            data = path.read_bytes()
+        except OSError as e:
+            raise SceneNotFoundError(f"{path}: cannot be read: {e.strerror or e}") from e
+        self._files[Path(os.path.realpath(path))] = None
+        return data
+
+    def mesh_shape(
+        self, path: Path, matrix: F64, scale: Vec3, up_axis: UpAxis | None = None, unit_m: float | None = None
+    ) -> tuple[Shape, F64]:
+        """Reads a mesh and returns its shape and T_world_shape.
+
+        Args:
+            path: the mesh file.
+            matrix: T_world_object, (4, 4), rigid.
+            scale: factors along the axes of the object (z up).
+            up_axis: which axis of the file is up; None = as the file or its format says.
+            unit_m: metres per unit of the file; None = as the file or its format says.
+
+        Raises:
+            MeshError: the mesh cannot be used.
+        """
+        mesh = self.loader.mesh(path)
+        for file in mesh.files:
+            self._files[file] = None
+        for warning in mesh.warnings:
+            self.warn(warning)
+        factor = 1.0 if unit_m is None else unit_m / mesh.unit_m
+        # The loader turned the file by its own up axis: undo that turn and do the wanted one. Both only swap axes, so
+        # the scale stays a scale.
+        turn = np.eye(3) if up_axis is None else TO_Z_UP[up_axis] @ TO_Z_UP[mesh.up_axis].T
+        sizes = np.diag(turn.T @ np.diag(scale) @ turn) * factor
+        turned = matrix.copy()
+        turned[:3, :3] = matrix[:3, :3] @ turn
+        return Shape("mesh", (float(sizes[0]), float(sizes[1]), float(sizes[2])), str(os.path.realpath(path))), turned
+
+    def add_visual(self, name: str, shape: Shape, matrix: F64, color: Rgba | None = None, semantic_class: str = "") -> None:
+        """Adds something that is drawn, at T_world_shape."""
+        pose = pose_from_matrix(matrix)
+        self.visuals.append(VisualSpec(_unique(name, self._visual_names), "", shape, pose, color, semantic_class))
+
+    def add_collision(self, name: str, shape: Shape, matrix: F64) -> None:
+        """Adds something that is bumped into, at T_world_shape."""
+        self.collisions.append(CollisionSpec(_unique(name, self._collision_names), shape, pose_from_matrix(matrix)))
+
+    def finish(self) -> SceneSpec:
+        """Returns the scene."""
+        if not self.visuals and not self.collisions and self.ground_z is None:
+            reason = f": {self._warnings[0]}" if self._warnings else ""
+            raise SceneError(f"scene {self.name!r}: nothing in it can be drawn or bumped into{reason}")
+        floor_z = self.floor_z
+        if floor_z is None:
+            triangles = merge([shape_triangles(self.loader, c) for c in self.collisions])
+            floor_z = estimate_floor(*triangles, self.ground_z)
+        return SceneSpec(
+            self.name, self.root, self.digest(), tuple(self.visuals), tuple(self.collisions), self.ground_z, floor_z,
+            self.gravity, tuple(self.starts), self.light, (), tuple(self._warnings),
+        )  # fmt: skip
+
+    def digest(self) -> str:
+        """Returns the SHA-256 of the scene's name and of all files that it uses: relative names, sizes, contents."""
+        total = hashlib.sha256(self.name.encode())
+        named = {os.path.relpath(p, self.root) if p.is_relative_to(self.root) else p.name: p for p in self._files}
+        for relative, path in sorted(named.items()):
+            data = path.read_bytes()
+            total.update(f"\n{Path(relative).as_posix()} {len(data)}\n".encode())
+            total.update(data)
+        return total.hexdigest()
+
+
+def _unique(name: str, taken: set[str]) -> str:
+    """Returns the name, with _2, _3, ... if it is taken, and takes it."""
+    candidate, number = name, 1
+    while candidate in taken:
+        number += 1
+        candidate = f"{name}_{number}"
+    taken.add(candidate)
+    return candidate
+
+
+def estimate_floor(vertices: F64, triangles: NDArray[np.int32], ground_z: float | None = None) -> float:
+    """Returns the height of the floor: where most up-facing area lies in the lowest metre.
+
+    Args:
+        vertices: (V, 3), world frame, metres.
+        triangles: (F, 3).
+        ground_z: height of an endless ground plane; it is the floor unless a wide floor lies just above it.
+    """
+    corners = vertices[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    lengths = np.linalg.norm(normals, axis=1)
+    level = normals[:, 2] > _UP_FACING * lengths
+    area, z = normals[level, 2] / 2, corners[level][:, :, 2].mean(axis=1)
+    if not len(z):
+        return ground_z if ground_z is not None else float(vertices[:, 2].min(initial=0.0) if len(vertices) else 0.0)
+    if ground_z is not None:
+        low, reach = ground_z - 0.01, 0.3
+    else:
+        # A few stray triangles below the floor must not pull the search down: skip the lowest percent of the area.
+        order = np.argsort(z)
+        low = float(z[order][np.searchsorted(np.cumsum(area[order]), 0.01 * area.sum())]) - 0.5 * _BIN
+        reach = 1.0
+    near = (z >= low) & (z <= low + reach)
+    if not near.any():
+        return ground_z if ground_z is not None else float(z.min())
+    bins = np.floor((z[near] - low) / _BIN).astype(int)
+    best = np.bincount(bins, weights=area[near])
+    peak = int(best.argmax())
+    if ground_z is not None:
+        spans = vertices[:, :2].max(axis=0) - vertices[:, :2].min(axis=0)
+        if best[peak] < 0.5 * float(spans[0] * spans[1]):
+            return ground_z
+    chosen = np.abs(bins - peak) <= 1
+    # The median is the floor itself; a mean would move with every carpet on it.
+    z, area = z[near][chosen], area[near][chosen]
+    order = np.argsort(z)
+    middle = np.searchsorted(np.cumsum(area[order]), 0.5 * area.sum())
+    return float(np.round(z[order][middle], 6)) + 0.0
+
+
+def class_from_model(name: str) -> str:
+    """Returns a class name made of a model's name: ``aws_robomaker_residential_KitchenTable_01`` gives ``kitchen_table``.
+
+    Drops the vendor's prefix, trailing numbers and a trailing variant letter, and turns capitals into words. Nothing is
+    guessed beyond that.
+    """
+    base = re.sub(r"^aws_robomaker_[a-z]+_", "", name)
+    base = re.sub(r"([_\- ]\d+)+$", "", base)
+    base = re.sub(r"(?<=[a-z])[A-Z]$", "", base)
+    base = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", base)
+    return re.sub(r"[^a-z0-9]+", "_", base.lower()).strip("_")

@@ -1,0 +1,165 @@
+"""Reads Drake's model directives (``*.dmd.yaml``): add_model, add_weld and add_frame; the others are left out with a warning."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from gibson_sim.errors import MeshError, SceneError
+from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
+from gibson_sim.scenes.builder import SceneBuilder, class_from_model
+from gibson_sim.scenes.mesh import MESH_SUFFIXES
+from gibson_sim.scenes.sdf_model import Element, SdfModels
+from gibson_sim.scenes.uris import UriResolver
+
+F64 = NDArray[np.float64]
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML with Drake's ``!Rpy`` and ``!AngleAxis``, read as mappings under these names."""
+
+
+def _tagged(loader: _Loader, suffix: str, node: yaml.Node) -> dict[str, Any]:
+    content = loader.construct_mapping(node, deep=True) if isinstance(node, yaml.MappingNode) else {}
+    return {suffix: content}
+
+
+_Loader.add_multi_constructor("!", _tagged)
+
+
+def read_drake_directives(builder: SceneBuilder, path: Path) -> None:
+    """Puts all models of a directives file into the builder.
+
+    Raises:
+        SceneError: the file is no directives file.
+    """
+    try:
+        document = yaml.load(builder.read_bytes(path), Loader=_Loader)
+    except yaml.YAMLError as e:
+        raise SceneError(f"{path}: is no YAML: {' '.join(str(e).split())}") from e
+    directives = document.get("directives") if isinstance(document, dict) else None
+    if not isinstance(directives, list):
+        raise SceneError(f"{path}: has no list `directives`; is it a Drake model directives file?")
+    reader = _Reader(builder, path)
+    for directive in directives:
+        if not isinstance(directive, dict) or len(directive) != 1:
+            builder.warn(f"{path}: directive {directive!r} is not one name with its content; left out")
+            continue
+        ((name, content),) = directive.items()
+        reader.directive(str(name), content if isinstance(content, dict) else {})
+    reader.place_models()
+
+
+class _Reader:
+    def __init__(self, builder: SceneBuilder, path: Path) -> None:
+        self.builder = builder
+        self.path = path
+        self.uris = UriResolver(builder.root, path.parent)
+        self.models = SdfModels(builder, self.uris)
+        self._elements: dict[str, tuple[Element | None, Path]] = {}
+        self._poses: dict[str, F64] = {}
+        self._frames: dict[str, F64] = {"world": np.eye(4)}
+
+    def directive(self, name: str, content: dict[str, Any]) -> None:
+        if name == "add_model":
+            self._add_model(content)
+        elif name == "add_weld":
+            self._add_weld(content)
+        elif name == "add_frame":
+            transform = content.get("X_PF") or {}
+            base = self._frame(str(transform.get("base_frame", "world")))
+            if base is not None:
+                self._frames[str(content.get("name", ""))] = base @ self._transform(transform)
+        else:
+            self.builder.warn(f"{self.path}: directive {name} is not supported; left out")
+
+    def place_models(self) -> None:
+        """Adds every model where its weld put it, or at the origin of the world."""
+        for name, (element, file) in self._elements.items():
+            if name not in self._poses:
+                self.builder.warn(f"{self.path}: model {name!r} is not welded to anything; it stands at the origin")
+            matrix = self._poses.get(name, np.eye(4))
+            if element is not None:
+                self.models.model(element, matrix, name, file.parent)
+                continue
+            try:
+                shape, at = self.builder.mesh_shape(file, matrix, (1.0, 1.0, 1.0))
+            except MeshError as e:
+                self.builder.warn(f"model {name}: {e}; left out")
+                continue
+            self.builder.add_visual(name, shape, at, None, class_from_model(name))
+            self.builder.add_collision(name, shape, at)
+
+    def _add_model(self, content: dict[str, Any]) -> None:
+        name, uri = str(content.get("name", "")), str(content.get("file", ""))
+        file = self.uris.find(uri, self.path.parent) if uri else None
+        if file is None:
+            self.builder.warn(f"model {name!r}: file {uri!r} is not there; left out")
+            return
+        if file.suffix.lower() in MESH_SUFFIXES:
+            self._elements[name] = (None, file)
+            return
+        try:
+            element = self.models.document(file)
+        except SceneError as e:
+            self.builder.warn(f"{e}; left out")
+            return
+        if element is not None:
+            self._elements[name] = (element, file)
+
+    def _add_weld(self, content: dict[str, Any]) -> None:
+        parent, child = str(content.get("parent", "world")), str(content.get("child", ""))
+        model, _, frame = child.partition("::")
+        if model not in self._elements:
+            self.builder.warn(f"{self.path}: weld of {child!r}: there is no such model; left out")
+            return
+        base = self._frame(parent)
+        if base is None:
+            return
+        at = base @ self._transform(content.get("X_PC") or {})
+        element = self._elements[model][0]
+        self._poses[model] = at if element is None else self.models.weld(element, at, frame, f"model {model}")
+
+    def _frame(self, name: str) -> F64 | None:
+        """Returns T_world_frame, or None after a warning."""
+        if name in self._frames:
+            return self._frames[name]
+        model, _, frame = name.partition("::")
+        if model in self._elements:
+            element = self._elements[model][0]
+            within = np.eye(4) if element is None else self.models.frame(element, frame, f"model {model}")
+            return self._poses.get(model, np.eye(4)) @ within
+        self.builder.warn(f"{self.path}: frame {name!r} is unknown; what is fixed to it is left where it is")
+        return None
+
+    def _transform(self, content: dict[str, Any]) -> F64:
+        """Returns the (4, 4) of a translation (metres) and a rotation (!Rpy or !AngleAxis, degrees)."""
+        try:
+            x, y, z = (float(c) for c in content.get("translation") or (0, 0, 0))
+            rotation = content.get("rotation") or {}
+            if "Rpy" in rotation:
+                roll, pitch, yaw = (math.radians(float(c)) for c in rotation["Rpy"].get("deg", (0, 0, 0)))
+                return matrix_from_pose(pose_from_xyz_rpy((x, y, z), (roll, pitch, yaw)))
+            matrix = np.eye(4)
+            matrix[:3, 3] = (x, y, z)
+            if "AngleAxis" in rotation:
+                matrix[:3, :3] = _axis_angle(rotation["AngleAxis"])
+            elif rotation:
+                self.builder.warn(f"{self.path}: rotation {rotation!r} is not supported; taken as zero")
+            return matrix
+        except (TypeError, ValueError, KeyError, AttributeError) as e:
+            raise SceneError(f"{self.path}: transform {content!r} cannot be read: {e}") from e
+
+
+def _axis_angle(content: dict[str, Any]) -> F64:
+    axis = np.asarray(content["axis"], dtype=np.float64)
+    x, y, z = axis / np.linalg.norm(axis)
+    angle = math.radians(float(content["angle_deg"]))
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    rotation: F64 = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
+    return rotation

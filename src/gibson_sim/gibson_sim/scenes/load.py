@@ -1,0 +1,153 @@
+"""Loads scenes: our own ``scene.yaml``, SDF worlds, Drake model directives, or a bare mesh."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import os
+import re
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+
+from gibson_sim.errors import SceneError, SceneNotFoundError
+from gibson_sim.resources import find_scene
+from gibson_sim.robots.spec import RobotSpec
+from gibson_sim.scenes.builder import SceneBuilder
+from gibson_sim.scenes.drake_directives import read_drake_directives
+from gibson_sim.scenes.mesh import MESH_SUFFIXES
+from gibson_sim.scenes.scene_yaml import read_scene_yaml
+from gibson_sim.scenes.sdf_world import read_sdf_world
+from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.scenes.uris import ancestors, environment_folders
+
+_log = logging.getLogger(__name__)
+DESCRIPTION = "scene.yaml"
+_WORLD_TAG = re.compile(rb"<world[\s>]")
+_MAX_LISTED = 8
+_MAX_ENTRIES = 200_000
+
+
+def load_scene(name_or_path: str | Path) -> SceneSpec:
+    """Returns a scene without robots; what could not be used is in its ``warnings``.
+
+    Args:
+        name_or_path: name of an installed scene; a folder with a scene.yaml, or with exactly one world; or a file: scene.yaml,
+            SDF world, Drake model directives, glTF, GLB, OBJ, DAE or STL.
+
+    Raises:
+        SceneNotFoundError: there is nothing, or nothing that can be read.
+        SceneError: the description or a mesh is broken.
+    """
+    given = find_scene(name_or_path)
+    file = description_file(given)
+    reader, root = _reader_and_root(file, given)
+    name = given.name if given.is_dir() else file.parent.name if file.name == DESCRIPTION else file.name.split(".")[0]
+    builder = SceneBuilder(name, root, environment_folders() if reader is read_sdf_world else ())
+    reader(builder, file)
+    scene = builder.finish()
+    for warning in scene.warnings:
+        _log.warning("scene %s: %s", scene.name, warning)
+    _log.info("scene %s: %d shapes to draw, %d to bump into", scene.name, len(scene.visuals), len(scene.collisions))
+    return scene
+
+
+def with_robots(scene: SceneSpec, robots: Iterable[RobotSpec]) -> SceneSpec:
+    """Returns the scene with these robots added.
+
+    Raises:
+        SceneError: two robots have the same name.
+    """
+    every = (*scene.robots, *robots)
+    names = [robot.name for robot in every]
+    for name in names:
+        if names.count(name) > 1:
+            raise SceneError(f"scene {scene.name!r}: robot name {name!r} is used twice; names must be unique")
+    return dataclasses.replace(scene, robots=every)
+
+
+def scene_roots(scene: SceneSpec) -> tuple[Path, ...]:
+    """Returns the folders that meshes of the scene may lie in, for a ``MeshLoader``."""
+    robots = {robot.urdf.parent for robot in scene.robots}
+    meshes = {
+        Path(shape.mesh).parent
+        for shape in [v.shape for v in scene.visuals] + [c.shape for c in scene.collisions]
+        if shape.mesh and not Path(shape.mesh).is_relative_to(scene.root)
+    }
+    return (scene.root, *environment_folders(), *sorted(robots | meshes))
+
+
+def description_file(path: Path) -> Path:
+    """Returns the file that describes a scene: the path itself, or the only world of the folder.
+
+    Raises:
+        SceneNotFoundError: the folder holds no world, or several.
+    """
+    if path.is_file():
+        return path
+    if (path / DESCRIPTION).is_file():
+        return path / DESCRIPTION
+    files = [Path(folder) / name for folder, name in _walk(path)]
+    worlds = [f for f in files if _is_sdf_world(f) or f.name.endswith((".dmd.yaml", ".dmd.yml"))]
+    meshes = [f for f in files if f.suffix.lower() in MESH_SUFFIXES]
+    found = sorted(worlds) or sorted(meshes)
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        raise SceneNotFoundError(
+            f"{path}: holds no scene: no {DESCRIPTION}, SDF world, .dmd.yaml or mesh ({', '.join(MESH_SUFFIXES)})"
+        )
+    names = ", ".join(str(f.relative_to(path)) for f in found[:_MAX_LISTED])
+    more = f" and {len(found) - _MAX_LISTED} more" if len(found) > _MAX_LISTED else ""
+    raise SceneNotFoundError(f"{path}: holds {len(found)} {'worlds' if worlds else 'meshes'}, name one of them: {names}{more}")
+
+
+def _walk(path: Path) -> Iterable[tuple[str, str]]:
+    count = 0
+    for folder, folders, names in os.walk(path):
+        folders[:] = sorted(f for f in folders if not f.startswith("."))
+        for name in names:
+            count += 1
+            if count > _MAX_ENTRIES:
+                raise SceneNotFoundError(f"{path}: holds more than {_MAX_ENTRIES} files; name the world file itself")
+            yield folder, name
+
+
+def _is_sdf_world(path: Path) -> bool:
+    if path.suffix.lower() == ".world":
+        return True
+    return path.suffix.lower() == ".sdf" and _WORLD_TAG.search(path.read_bytes()) is not None
+
+
+def _reader_and_root(file: Path, given: Path) -> tuple[Callable[[SceneBuilder, Path], None], Path]:
+    """Returns the reader of a description file, and the folder that all its files must lie in."""
+    suffix = file.suffix.lower()
+    if file.name == DESCRIPTION:
+        return read_scene_yaml, file.parent
+    if suffix in (".world", ".sdf"):
+        return read_sdf_world, _root(file, given)
+    if file.name.lower().endswith((".dmd.yaml", ".dmd.yml")):
+        return read_drake_directives, _root(file, given)
+    if suffix in MESH_SUFFIXES:
+        beside = given if given.is_dir() else file.parent
+        return _read_mesh, beside.parent if beside.name.lower() in ("mesh", "meshes") else beside
+    if suffix in (".yaml", ".yml"):
+        return read_scene_yaml, file.parent
+    raise SceneNotFoundError(
+        f"{file}: is no scene; give {DESCRIPTION}, an SDF world, a .dmd.yaml or a mesh ({', '.join(MESH_SUFFIXES)})"
+    )
+
+
+def _root(file: Path, given: Path) -> Path:
+    """Returns the folder given, or the nearest one above it that has ``models``: worlds and models lie side by side."""
+    start = given if given.is_dir() else file.parent
+    return next((folder for folder in ancestors(start) if (folder / "models").is_dir()), start)
+
+
+def _read_mesh(builder: SceneBuilder, path: Path) -> None:
+    """Puts a bare mesh into the builder, drawn and bumped into as it is."""
+    shape, matrix = builder.mesh_shape(path, np.eye(4), (1.0, 1.0, 1.0))
+    builder.add_visual(path.stem, shape, matrix)
+    builder.add_collision(path.stem, shape, matrix)
+    builder.read_bytes(path)

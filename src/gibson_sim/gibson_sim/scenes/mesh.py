@@ -1,0 +1,149 @@
+"""Reads meshes and makes primitives: the one place that turns a ``Shape`` into triangles, for drawing, maps and physics alike.
+
+A ``MeshLoader`` reads each file and decodes each image once for as long as it lives; nothing is kept globally.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import MeshError
+from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
+from gibson_sim.robots.spec import Shape
+from gibson_sim.scenes.mesh_dae import load_dae
+from gibson_sim.scenes.mesh_gltf import load_gltf
+from gibson_sim.scenes.mesh_obj import load_obj
+from gibson_sim.scenes.mesh_stl import load_stl
+from gibson_sim.scenes.mesh_types import LIGHT_GREY, Material, Mesh, MeshPart, TextureSource, UpAxis, merge
+from gibson_sim.scenes.primitives import primitive_mesh
+from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
+from gibson_sim.scenes.textures import TextureStore, is_inside
+
+__all__ = [
+    "LIGHT_GREY", "MESH_SUFFIXES", "Material", "Mesh", "MeshLoader", "MeshPart", "TextureSource",
+    "collision_triangles", "load_mesh", "load_shape", "primitive_mesh", "shape_triangles",
+]  # fmt: skip
+
+MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".dae", ".stl")
+"""Formats that can be read, lower case."""
+
+
+class MeshLoader:
+    """Reads meshes, each file once.
+
+    Args:
+        allowed_roots: folders that meshes, textures and buffers must lie in, symbolic links followed.
+        textures: False = geometry only: textures are looked for, and warned about, but not decoded.
+    """
+
+    def __init__(self, allowed_roots: Sequence[Path], *, textures: bool = True) -> None:
+        self.roots = tuple(allowed_roots)
+        self._textures = TextureStore(self.roots, textures)
+        self._meshes: dict[Path, Mesh] = {}
+
+    def mesh(self, path: Path) -> Mesh:
+        """Returns the mesh in a file, in its own frame, z up, metres.
+
+        Raises:
+            MeshError: the file is missing, outside the allowed folders, of an unknown format or broken.
+        """
+        real = Path(os.path.realpath(path))
+        if real not in self._meshes:
+            self._meshes[real] = self._read(Path(path), real)
+        return self._meshes[real]
+
+    def shape(self, shape: Shape) -> Mesh:
+        """Returns the triangles of a shape: its mesh file under its scale, or the primitive."""
+        if shape.kind != "mesh":
+            return primitive_mesh(shape)
+        mesh = self.mesh(Path(shape.mesh))
+        if tuple(shape.size) == (1.0, 1.0, 1.0):
+            return mesh
+        if not (np.isfinite(shape.size).all() and all(shape.size)):
+            raise MeshError(f"{shape.mesh}: scale is {tuple(shape.size)}, the three factors must be finite and not 0")
+        return mesh.transformed(np.diag([*shape.size, 1.0]))
+
+    def _read(self, path: Path, real: Path) -> Mesh:
+        if not is_inside(real, self.roots):
+            raise MeshError(f"{path}: lies outside {', '.join(map(str, self.roots))}; move it into the scene's folder")
+        try:
+            data = real.read_bytes()
+        except OSError as e:
+            raise MeshError(f"{path}: cannot be read: {e.strerror or e}") from e
+        if not data:
+            raise MeshError(f"{path}: the file is empty")
+        try:
+            mesh = self._parse(path, real, data)
+        except MeshError:
+            raise
+        # A broken file makes any of these fly out of a parser; all mean the same to the user.
+        except (
+            ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, RecursionError, MemoryError,
+            struct.error, json.JSONDecodeError, ElementTree.ParseError,
+        ) as e:  # fmt: skip
+            raise MeshError(f"{path}: is not a readable {path.suffix.lower()} file: {type(e).__name__}: {_one_line(e)}") from e
+        if not mesh.parts:
+            raise MeshError(f"{path}: has no triangles")
+        return mesh
+
+    def _parse(self, path: Path, real: Path, data: bytes) -> Mesh:
+        suffix = path.suffix.lower()
+        warnings: list[str] = []
+        files = [real]
+
+        def warn(text: str) -> None:
+            if text not in warnings:
+                warnings.append(text)
+
+        up_axis: UpAxis = "z"
+        unit_m = 1.0
+        if suffix in (".glb", ".gltf"):
+            parts = load_gltf(path, data, self._textures, files, warn)
+            up_axis = "y"
+        elif suffix == ".obj":
+            parts = load_obj(path, data, self._textures, files, warn)
+        elif suffix == ".dae":
+            parts, up_axis, unit_m = load_dae(path, data, self._textures, files, warn)
+        elif suffix == ".stl":
+            parts = load_stl(path, data)
+        else:
+            raise MeshError(
+                f"{path}: {suffix or 'no suffix'!r} is not a mesh format that can be read; known: {', '.join(MESH_SUFFIXES)}"
+            )
+        return Mesh(tuple(parts), tuple(warnings), tuple(files), up_axis, unit_m)
+
+
+def load_mesh(path: Path, allowed_roots: Sequence[Path]) -> Mesh:
+    """Returns the mesh in a glTF, GLB, OBJ, DAE or STL file, z up, metres. For several files use one ``MeshLoader``."""
+    return MeshLoader(allowed_roots).mesh(path)
+
+
+def load_shape(shape: Shape, allowed_roots: Sequence[Path]) -> Mesh:
+    """Returns the triangles of a shape. For several shapes use one ``MeshLoader``."""
+    return MeshLoader(allowed_roots).shape(shape)
+
+
+def shape_triangles(loader: MeshLoader, collision: CollisionSpec) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Returns one collision shape in the world frame: vertices (V, 3), triangles (F, 3)."""
+    vertices, triangles = loader.shape(collision.shape).merged()
+    return transform_points(matrix_from_pose(collision.pose), vertices), triangles
+
+
+def collision_triangles(scene: SceneSpec, loader: MeshLoader | None = None) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Returns all static collision shapes as one mesh in the world frame: vertices (V, 3), triangles (F, 3)."""
+    # The loader of the scene has checked each path already; here the folders of the shapes themselves are enough.
+    roots = [scene.root, *(Path(c.shape.mesh).parent for c in scene.collisions if c.shape.kind == "mesh")]
+    used = loader or MeshLoader(roots, textures=False)
+    return merge([shape_triangles(used, collision) for collision in scene.collisions])
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:200]

@@ -1,0 +1,336 @@
+"""Reads glTF 2.0, text and binary (GLB): geometry of the default scene, base colours and base colour textures.
+
+Skins, animations, cameras, lights and everything physically based beyond the base colour are left out.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import os
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote_to_bytes
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import MeshError
+from gibson_sim.geometry.transforms import matrix_from_quat
+from gibson_sim.scenes.mesh_types import (
+    F64,
+    I64,
+    LIGHT_GREY,
+    TO_Z_UP,
+    AlphaMode,
+    Material,
+    MeshPart,
+    build_part,
+    srgb_from_linear,
+)
+from gibson_sim.scenes.textures import TextureStore, Warn, is_inside, local_path
+
+_COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_MAX_ELEMENTS = 100_000_000
+_ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
+_KNOWN_EXTENSIONS = {
+    "KHR_materials_unlit", "KHR_texture_transform", "KHR_mesh_quantization", "KHR_materials_pbrSpecularGlossiness",
+    "KHR_lights_punctual", "EXT_texture_webp",
+}  # fmt: skip
+
+
+def load_gltf(path: Path, data: bytes, textures: TextureStore, files: list[Path], warn: Warn) -> list[MeshPart]:
+    """Returns the parts of the default scene, turned from y up to z up."""
+    document, chunk = _split(path, data)
+    version = str(document.get("asset", {}).get("version", ""))
+    if not version.startswith("2"):
+        raise MeshError(f"{path}: glTF version is {version or 'not given'}, must be 2.x; convert the file")
+    for name in document.get("extensionsRequired", []):
+        if name not in _KNOWN_EXTENSIONS and not name.startswith("KHR_materials_"):
+            raise MeshError(f"{path}: needs glTF extension {name}, which is not supported; export the file without it")
+    return _Reader(path, document, chunk, textures, files, warn).parts()
+
+
+def _split(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
+    """Returns the JSON document and the binary chunk (empty if there is none)."""
+    if data[:4] != b"glTF":
+        if path.suffix.lower() == ".glb":
+            raise MeshError(f"{path}: is not a GLB file (it starts with {data[:4]!r}, must be b'glTF')")
+        document = json.loads(data.decode("utf-8-sig"))
+        if not isinstance(document, dict):
+            raise MeshError(f"{path}: is not a glTF file: its JSON holds no object")
+        return document, b""
+    version, length = struct.unpack_from("<II", data, 4)
+    if version != 2:
+        raise MeshError(f"{path}: GLB version is {version}, must be 2; convert the file")
+    if length > len(data):
+        raise MeshError(f"{path}: GLB of {length} bytes is cut after {len(data)}; copy or download it again")
+    chunks: dict[int, bytes] = {}
+    at = 12
+    while at + 8 <= length:
+        size, kind = struct.unpack_from("<II", data, at)
+        chunks.setdefault(kind, data[at + 8 : at + 8 + size])
+        at += 8 + size
+    document = json.loads(chunks[0x4E4F534A].decode("utf-8"))
+    return document, chunks.get(0x004E4942, b"")
+
+
+class _Reader:
+    """One document while it is read."""
+
+    def __init__(
+        self, path: Path, document: dict[str, Any], chunk: bytes, textures: TextureStore, files: list[Path], warn: Warn
+    ) -> None:
+        self.path = path
+        self.document = document
+        self.chunk = chunk
+        self.textures = textures
+        self.files = files
+        self.warn = warn
+        self._buffers: dict[int, bytes] = {}
+        self._materials: dict[int, Material] = {}
+        self._images: dict[int, Any] = {}
+
+    def parts(self) -> list[MeshPart]:
+        if "EXT_mesh_gpu_instancing" in self.document.get("extensionsUsed", []):
+            self.warn(f"{self.path}: EXT_mesh_gpu_instancing is not supported; only one of each instanced mesh is drawn")
+        parts = []
+        for node, matrix in self._nodes():
+            if "mesh" not in node:
+                continue
+            for primitive in self._item("meshes", node["mesh"]).get("primitives", []):
+                part = self._primitive(primitive, matrix)
+                if part is not None:
+                    parts.append(part)
+        return parts
+
+    def _item(self, kind: str, index: int) -> dict[str, Any]:
+        items = self.document.get(kind, [])
+        if not 0 <= index < len(items):
+            raise MeshError(f"{self.path}: names number {index} of {kind}, but there are {len(items)}; the file is broken")
+        item: dict[str, Any] = items[index]
+        return item
+
+    # Nodes
+
+    def _nodes(self) -> Iterator[tuple[dict[str, Any], F64]]:
+        """Yields every node of the default scene with T_zup_node, (4, 4)."""
+        nodes = self.document.get("nodes", [])
+        scenes = self.document.get("scenes")
+        if scenes:
+            roots = self._item("scenes", self.document.get("scene", 0)).get("nodes", [])
+        else:
+            children = {child for node in nodes for child in node.get("children", [])}
+            roots = [k for k in range(len(nodes)) if k not in children]
+        to_z_up = np.eye(4)
+        to_z_up[:3, :3] = TO_Z_UP["y"]
+        stack = [(root, to_z_up) for root in reversed(roots)]
+        seen: set[int] = set()
+        while stack:
+            index, parent = stack.pop()
+            if index in seen:
+                raise MeshError(f"{self.path}: node {index} has two parents or is its own ancestor; the file is broken")
+            seen.add(index)
+            node = self._item("nodes", index)
+            matrix = parent @ _node_matrix(node)
+            yield node, matrix
+            stack += [(child, matrix) for child in reversed(node.get("children", []))]
+
+    # Geometry
+
+    def _primitive(self, primitive: dict[str, Any], matrix: F64) -> MeshPart | None:
+        mode = primitive.get("mode", 4)
+        attributes = primitive["attributes"]
+        if mode not in (4, 5, 6) or "POSITION" not in attributes:
+            if "POSITION" in attributes:
+                self.warn(f"{self.path}: points and lines are not drawn")
+            return None
+        if "KHR_draco_mesh_compression" in primitive.get("extensions", {}) and "bufferView" not in self._item(
+            "accessors", attributes["POSITION"]
+        ):
+            raise MeshError(f"{self.path}: is Draco compressed, which is not supported; export the file without it")
+        vertices = self._accessor(attributes["POSITION"])
+        if vertices.shape[1] != 3:
+            raise MeshError(f"{self.path}: positions have {vertices.shape[1]} coordinates, must be 3; the file is broken")
+        normals = self._same_length("NORMAL", attributes, len(vertices), 3)
+        indices = (
+            self._accessor(primitive["indices"])[:, 0].astype(np.int64) if "indices" in primitive else np.arange(len(vertices))
+        )
+        material, uv_set, uv_matrix = self._material_of(primitive)
+        uvs = self._same_length(f"TEXCOORD_{uv_set}", attributes, len(vertices), 2)
+        if uvs is not None and uv_matrix is not None:
+            uvs = uvs @ uv_matrix[:2, :2].T + uv_matrix[:2, 2]
+        if material.texture is None and "COLOR_0" in attributes:
+            material = self._tinted(material, attributes["COLOR_0"])
+        return build_part(str(self.path), vertices, _triangles(indices, mode), normals, uvs, material, matrix)
+
+    def _same_length(self, name: str, attributes: dict[str, Any], count: int, width: int) -> NDArray[Any] | None:
+        if name not in attributes:
+            return None
+        array = self._accessor(attributes[name])
+        if array.shape != (count, width):
+            raise MeshError(f"{self.path}: {name} has shape {array.shape}, must be ({count}, {width}); the file is broken")
+        return array
+
+    def _tinted(self, material: Material, accessor: int) -> Material:
+        """Returns the material times the mean vertex colour: single vertex colours are not drawn."""
+        mean = self._accessor(accessor)[:, :3].mean(axis=0)
+        tint = [srgb_from_linear(float(c)) for c in mean]
+        base = material.base_color
+        color = (base[0] * tint[0], base[1] * tint[1], base[2] * tint[2], base[3])
+        return Material(
+            material.name, color, None, material.unlit, material.alpha_mode, material.alpha_cutoff, material.double_sided
+        )
+
+    def _accessor(self, index: int) -> NDArray[Any]:
+        """Returns (count, width); normalised integers as float in [-1, 1] or [0, 1]."""
+        accessor = self._item("accessors", index)
+        dtype, width, count = np.dtype(_COMPONENTS[accessor["componentType"]]), _WIDTHS[accessor["type"]], int(accessor["count"])
+        if not 0 <= count <= _MAX_ELEMENTS:
+            raise MeshError(f"{self.path}: accessor {index} has {count} elements, must be 0 to {_MAX_ELEMENTS}")
+        if "bufferView" in accessor:
+            array = self._view(accessor["bufferView"], accessor.get("byteOffset", 0), dtype, count, width)
+        else:
+            array = np.zeros((count, width), dtype=dtype)
+        sparse = accessor.get("sparse")
+        if sparse:
+            n = int(sparse["count"])
+            where, values = sparse["indices"], sparse["values"]
+            rows = self._view(
+                where["bufferView"], where.get("byteOffset", 0), np.dtype(_COMPONENTS[where["componentType"]]), n, 1
+            )
+            array = array.copy()
+            array[rows[:, 0].astype(np.int64)] = self._view(values["bufferView"], values.get("byteOffset", 0), dtype, n, width)
+        if accessor.get("normalized") and dtype.kind in "iu":
+            return np.maximum(array.astype(np.float64) / np.iinfo(dtype).max, -1.0)
+        return array
+
+    def _view(self, index: int, offset: int, dtype: np.dtype[Any], count: int, width: int) -> NDArray[Any]:
+        view = self._item("bufferViews", index)
+        if "EXT_meshopt_compression" in view.get("extensions", {}):
+            raise MeshError(f"{self.path}: is compressed with EXT_meshopt_compression, which is not supported; export it without")
+        start, length = int(view.get("byteOffset", 0)), int(view["byteLength"])
+        stride = int(view.get("byteStride", 0)) or dtype.itemsize * width
+        data = self._buffer(view["buffer"])
+        last = offset + (count - 1) * stride + dtype.itemsize * width if count else 0
+        if min(start, offset, length) < 0 or last > length or start + length > len(data):
+            raise MeshError(
+                f"{self.path}: a buffer has {len(data)} bytes, but {start + max(length, last)} are needed; the file is cut"
+            )
+        return np.ndarray((count, width), dtype, data, start + offset, (stride, dtype.itemsize))
+
+    def _buffer(self, index: int) -> bytes:
+        if index not in self._buffers:
+            uri = self._item("buffers", index).get("uri")
+            self._buffers[index] = self.chunk if uri is None else self._bytes_at(uri)
+        return self._buffers[index]
+
+    def _bytes_at(self, uri: str) -> bytes:
+        if uri.startswith("data:"):
+            return _data_uri(uri)
+        file = local_path(uri, self.path.parent)
+        if not is_inside(file, self.textures.roots):
+            raise MeshError(f"{self.path}: buffer {uri!r} lies outside the scene's folder; put it beside the mesh")
+        try:
+            data = file.read_bytes()
+        except OSError as e:
+            raise MeshError(f"{self.path}: buffer {file.name} cannot be read: {e.strerror or e}") from e
+        self.files.append(Path(os.path.realpath(file)))
+        return data
+
+    # Materials
+
+    def _material_of(self, primitive: dict[str, Any]) -> tuple[Material, int, F64 | None]:
+        """Returns the material, its set of texture coordinates, and the (3, 3) transform of these or None."""
+        if "material" not in primitive:
+            return Material(), 0, None
+        index = primitive["material"]
+        source = self._item("materials", index)
+        extensions = source.get("extensions", {})
+        gloss = extensions.get("KHR_materials_pbrSpecularGlossiness", {})
+        pbr = source.get("pbrMetallicRoughness", {})
+        info = pbr.get("baseColorTexture") or gloss.get("diffuseTexture")
+        factor = pbr.get("baseColorFactor") or gloss.get("diffuseFactor")
+        transform = (info or {}).get("extensions", {}).get("KHR_texture_transform", {})
+        uv_set = int(transform.get("texCoord", (info or {}).get("texCoord", 0)))
+        if index not in self._materials:
+            texture = None if info is None else self._texture(info["index"])
+            color = (1.0, 1.0, 1.0, 1.0) if texture or not self.textures.decode else LIGHT_GREY
+            if factor is not None:
+                r, g, b, alpha = (float(c) for c in factor)
+                color = (srgb_from_linear(r), srgb_from_linear(g), srgb_from_linear(b), min(max(alpha, 0.0), 1.0))
+            self._materials[index] = Material(
+                str(source.get("name", "")),
+                color,
+                texture,
+                "KHR_materials_unlit" in extensions,
+                _ALPHA_MODES.get(source.get("alphaMode", "OPAQUE"), "opaque"),
+                float(source.get("alphaCutoff", 0.5)),
+                bool(source.get("doubleSided", False)),
+            )
+        return self._materials[index], uv_set, _uv_matrix(transform)
+
+    def _texture(self, index: int) -> Any:
+        texture = self._item("textures", index)
+        source = texture.get("extensions", {}).get("EXT_texture_webp", {}).get("source", texture.get("source"))
+        if source is None:
+            self.warn(f"{self.path}: texture {index} has a format that cannot be read; the surface gets its base colour")
+            return None
+        if source not in self._images:
+            self._images[source] = self._image(source)
+        return self._images[source]
+
+    def _image(self, index: int) -> Any:
+        image = self._item("images", index)
+        name = f"{self.path}: image {index}"
+        if "bufferView" in image:
+            view = self._item("bufferViews", image["bufferView"])
+            data = self._view(image["bufferView"], 0, np.dtype("u1"), int(view["byteLength"]), 1).tobytes()
+            return self.textures.from_bytes(name, data, self.warn)
+        uri = image["uri"]
+        if uri.startswith("data:"):
+            return self.textures.from_bytes(name, _data_uri(uri), self.warn)
+        return self.textures.from_uri(uri, self.path, self.files, self.warn)
+
+
+def _node_matrix(node: dict[str, Any]) -> F64:
+    if "matrix" in node:
+        return np.asarray(node["matrix"], dtype=np.float64).reshape(4, 4).T
+    matrix = np.eye(4)
+    rotation = np.asarray(node.get("rotation", (0, 0, 0, 1)), dtype=np.float64)
+    length = np.linalg.norm(rotation)
+    if length > 0:
+        matrix[:3, :3] = matrix_from_quat(rotation / length)
+    matrix[:3, :3] *= np.asarray(node.get("scale", (1, 1, 1)), dtype=np.float64)
+    matrix[:3, 3] = node.get("translation", (0, 0, 0))
+    return matrix
+
+
+def _triangles(indices: I64, mode: int) -> I64:
+    """Returns (F, 3) of a list (mode 4), a strip (5) or a fan (6) of vertices."""
+    if mode == 4:
+        return indices[: len(indices) // 3 * 3].reshape(-1, 3)
+    n = max(len(indices) - 2, 0)
+    if mode == 6:
+        return np.stack([indices[1 : 1 + n], indices[2 : 2 + n], np.full(n, indices[0] if n else 0)], axis=1)
+    triangles = np.stack([indices[:n], indices[1 : 1 + n], indices[2 : 2 + n]], axis=1)
+    triangles[1::2] = triangles[1::2][:, [0, 2, 1]]
+    return triangles
+
+
+def _uv_matrix(transform: dict[str, Any]) -> F64 | None:
+    """Returns the (3, 3) matrix of KHR_texture_transform, which turns counter-clockwise as the image is seen (v downwards)."""
+    if not transform:
+        return None
+    c, s = math.cos(transform.get("rotation", 0.0)), math.sin(transform.get("rotation", 0.0))
+    (du, dv), (su, sv) = transform.get("offset", (0.0, 0.0)), transform.get("scale", (1.0, 1.0))
+    return np.array([[c * su, s * sv, du], [-s * su, c * sv, dv], [0.0, 0.0, 1.0]])
+
+
+def _data_uri(uri: str) -> bytes:
+    header, _, body = uri.partition(",")
+    return base64.b64decode(unquote_to_bytes(body), validate=False) if header.endswith(";base64") else unquote_to_bytes(body)

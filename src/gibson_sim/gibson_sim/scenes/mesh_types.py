@@ -1,0 +1,264 @@
+"""What a mesh is once it is in memory, and the checks every mesh passes where it is born. Knows no file format."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gibson_sim.errors import MeshError
+from gibson_sim.types import Rgba
+
+AlphaMode = Literal["opaque", "mask", "blend"]
+UpAxis = Literal["x", "y", "z"]
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+LIGHT_GREY: Rgba = (0.8, 0.8, 0.8, 1.0)
+"""Colour of a surface whose file names none."""
+
+TO_Z_UP: dict[UpAxis, F64] = {
+    "z": np.eye(3),
+    "y": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+    "x": np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),
+}
+"""R_zup_file, (3, 3), by the axis that is up in the file (COLLADA 1.4.1, up_axis). A scene keeps these rotations exact."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TextureSource:
+    """A decoded image. Parts that show the same image share one object, so ``id()`` tells textures apart."""
+
+    name: str
+    """File, or file and index for images inside a file; for messages."""
+    pixels: NDArray[np.uint8]
+    """(H, W, 3) RGB or (H, W, 4) RGBA uint8, sRGB, row 0 = top."""
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """How one part of a mesh looks."""
+
+    name: str = ""
+    base_color: Rgba = LIGHT_GREY
+    """sRGB and alpha, each 0 to 1; multiplies the texture."""
+    texture: TextureSource | None = None
+    unlit: bool = False
+    """Light is baked into the texture: draw it as it is (KHR_materials_unlit)."""
+    alpha_mode: AlphaMode = "opaque"
+    alpha_cutoff: float = 0.5
+    """Below this alpha nothing is drawn, where alpha_mode is mask."""
+    double_sided: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshPart:
+    """Triangles of one material, counter-clockwise seen from outside."""
+
+    vertices: F32
+    """(V, 3), metres, z up."""
+    normals: F32
+    """(V, 3), unit length."""
+    uvs: F32 | None
+    """(V, 2), v = 0 at the top row of the image (glTF), or None."""
+    triangles: NDArray[np.uint32]
+    """(F, 3), rows of ``vertices``."""
+    material: Material = field(default_factory=Material)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """All parts of one file or primitive, in the frame of the shape, z up, metres."""
+
+    parts: tuple[MeshPart, ...]
+    warnings: tuple[str, ...] = ()
+    """What was left out or replaced, one line each."""
+    files: tuple[Path, ...] = ()
+    """Every file that was read, resolved, the mesh file first."""
+    up_axis: UpAxis = "z"
+    """The axis that the file, or its format, calls up; ``vertices`` are turned to z up already."""
+    unit_m: float = 1.0
+    """Metres per unit as the file, or its format, says; ``vertices`` are in metres already."""
+
+    @property
+    def triangle_count(self) -> int:
+        """Triangles of all parts."""
+        return sum(len(part.triangles) for part in self.parts)
+
+    @property
+    def bounds(self) -> F64:
+        """(2, 3) float64: smallest and largest corner, metres."""
+        lows = [part.vertices.min(axis=0) for part in self.parts]
+        highs = [part.vertices.max(axis=0) for part in self.parts]
+        return np.array([np.min(lows, axis=0), np.max(highs, axis=0)], dtype=np.float64)
+
+    def merged(self) -> tuple[F64, NDArray[np.int32]]:
+        """Returns all triangles as one: vertices (V, 3) float64 and triangles (F, 3) int32."""
+        return merge([(part.vertices, part.triangles) for part in self.parts])
+
+    def transformed(self, matrix: ArrayLike) -> Mesh:
+        """Returns the mesh under a (4, 4) affine transform, which may scale unevenly or mirror."""
+        m = np.asarray(matrix, dtype=np.float64)
+        parts = tuple(
+            MeshPart(
+                apply(m, part.vertices).astype(np.float32),
+                turn_normals(m, part.normals).astype(np.float32),
+                part.uvs,
+                part.triangles if np.linalg.det(m[:3, :3]) > 0 else np.ascontiguousarray(part.triangles[:, ::-1]),
+                part.material,
+            )
+            for part in self.parts
+        )
+        return Mesh(parts, self.warnings, self.files, self.up_axis, self.unit_m)
+
+
+def merge(pieces: Sequence[tuple[ArrayLike, ArrayLike]]) -> tuple[F64, NDArray[np.int32]]:
+    """Returns (vertices (V, 3), triangles (F, 3)) pieces joined to one: float64 and int32."""
+    vertices = [np.asarray(v, dtype=np.float64) for v, _ in pieces]
+    starts = np.cumsum([0, *(len(v) for v in vertices)])
+    triangles = [np.asarray(t, dtype=np.int64) + start for (_, t), start in zip(pieces, starts, strict=False)]
+    if not pieces:
+        return np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32)
+    return np.concatenate(vertices), np.concatenate(triangles).astype(np.int32)
+
+
+def apply(matrix: F64, points: ArrayLike) -> F64:
+    """Returns points (N, 3) under a (4, 4) affine transform."""
+    return np.asarray(points, dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def turn_normals(matrix: F64, normals: ArrayLike) -> F64:
+    """Returns unit normals (N, 3) of a surface under a (4, 4) affine transform; a zero normal stays zero."""
+    linear = matrix[:3, :3]
+    # The cofactor matrix is det * inverse transpose; dividing by the sign of det keeps mirrored normals outward.
+    cofactors = np.stack([np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])])
+    sign = -1.0 if np.linalg.det(linear) < 0 else 1.0
+    return unit(np.asarray(normals, dtype=np.float64) @ (sign * cofactors).T)
+
+
+def unit(vectors: ArrayLike) -> F64:
+    """Returns vectors (N, 3) at length 1; zero vectors and NaN become zero."""
+    v = np.nan_to_num(np.asarray(vectors, dtype=np.float64), nan=0.0, posinf=0.0, neginf=0.0)
+    length = np.linalg.norm(v, axis=1, keepdims=True)
+    result: F64 = np.divide(v, length, out=np.zeros_like(v), where=length > 1e-30)
+    return result
+
+
+def area_normals(vertices: ArrayLike, triangles: ArrayLike) -> F64:
+    """Returns unit normals (V, 3): the mean of the faces around each vertex, weighted by area; +z for lone vertices."""
+    v = np.asarray(vertices, dtype=np.float64)
+    t = np.asarray(triangles, dtype=np.int64)
+    faces = np.cross(v[t[:, 1]] - v[t[:, 0]], v[t[:, 2]] - v[t[:, 0]])
+    corners = t.ravel()
+    per_corner = np.repeat(faces, 3, axis=0)
+    sums = np.stack([np.bincount(corners, weights=per_corner[:, k], minlength=len(v)) for k in range(3)], axis=1)
+    normals = unit(sums)
+    normals[~normals.any(axis=1)] = (0.0, 0.0, 1.0)
+    return normals
+
+
+def build_part(
+    what: str,
+    vertices: ArrayLike,
+    triangles: ArrayLike,
+    normals: ArrayLike | None,
+    uvs: ArrayLike | None,
+    material: Material,
+    matrix: F64 | None = None,
+) -> MeshPart | None:
+    """Returns a checked part, or None if it has no triangles.
+
+    Args:
+        what: the file, for messages.
+        vertices: (V, 3).
+        triangles: (F, 3) whole numbers.
+        normals: (V, 3) or None to compute them; zero or NaN rows are computed too.
+        uvs: (V, 2), v downwards, or None.
+        material: its material.
+        matrix: (4, 4) affine transform to apply, None = as they are.
+
+    Raises:
+        MeshError: an index points nowhere, or a coordinate is NaN or infinite.
+    """
+    v = np.asarray(vertices, dtype=np.float64)
+    t = np.asarray(triangles, dtype=np.int64)
+    if not len(t):
+        return None
+    if t.min() < 0 or t.max() >= len(v):
+        wrong = int(t.min() if t.min() < 0 else t.max())
+        raise MeshError(f"{what}: a triangle names vertex {wrong}, but there are {len(v)}; the file is broken, export it again")
+    used = np.zeros(len(v), dtype=bool)
+    used[t] = True
+    n = None if normals is None else np.asarray(normals, dtype=np.float64)
+    uv = None if uvs is None else np.asarray(uvs, dtype=np.float64)
+    if not used.all():
+        # Exporters let several parts share one vertex array: keep what this part needs.
+        t = (np.cumsum(used) - 1)[t]
+        v = v[used]
+        n = None if n is None else n[used]
+        uv = None if uv is None else uv[used]
+    if matrix is not None:
+        v = apply(matrix, v)
+        n = None if n is None else turn_normals(matrix, n)
+        t = t if np.linalg.det(matrix[:3, :3]) > 0 else t[:, ::-1]
+    with np.errstate(over="ignore"):
+        v32 = v.astype(np.float32)
+    if not np.isfinite(v32).all():
+        row = int(np.flatnonzero(~np.isfinite(v32).all(axis=1))[0])
+        raise MeshError(f"{what}: vertex {row} is {v[row].tolist()}, coordinates must be finite numbers; the file is broken")
+    n = _fill_normals(v, t, n)
+    uv32 = None if uv is None else np.nan_to_num(uv, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
+    return MeshPart(v32, n.astype(np.float32), uv32, np.ascontiguousarray(t, dtype=np.uint32), material)
+
+
+def _fill_normals(vertices: F64, triangles: I64, normals: F64 | None) -> F64:
+    """Returns unit normals (V, 3), computed where the file gives none."""
+    if normals is None:
+        return area_normals(vertices, triangles)
+    filled = unit(normals)
+    empty = ~filled.any(axis=1)
+    if empty.any():
+        filled[empty] = area_normals(vertices, triangles)[empty]
+    return filled
+
+
+def index_corners(*columns: I64) -> tuple[I64, I64]:
+    """Joins corners that agree in every column.
+
+    Args:
+        columns: each (C,) int64: position index, uv index, ... of each corner.
+
+    Returns:
+        For each distinct corner one row where it occurs, (V,), and for each corner its distinct one, (C,).
+    """
+    key = np.zeros(len(columns[0]), dtype=np.int64)
+    for column in columns:
+        low = int(column.min()) if len(column) else 0
+        span = (int(column.max()) - low + 1) if len(column) else 1
+        # Renumbering keeps the keys small: a product of three index ranges would overflow.
+        if int(key.max(initial=0)) * span > 2**62:
+            key = np.unique(key, return_inverse=True)[1].astype(np.int64)
+        key = key * span + (column - low)
+    _, first, inverse = np.unique(key, return_index=True, return_inverse=True)
+    return first.astype(np.int64), inverse.reshape(-1).astype(np.int64)
+
+
+def fan(counts: I64) -> I64:
+    """Returns triangles (F, 3) into the corners of polygons with ``counts`` corners each, stored one after the other."""
+    counts = np.asarray(counts, dtype=np.int64)
+    starts = np.cumsum(counts) - counts
+    per_polygon = np.maximum(counts - 2, 0)
+    first = np.repeat(starts, per_polygon)
+    within = np.arange(int(per_polygon.sum())) - np.repeat(np.cumsum(per_polygon) - per_polygon, per_polygon)
+    return np.stack([first, first + within + 1, first + within + 2], axis=1)
+
+
+def srgb_from_linear(value: float) -> float:
+    """Returns the sRGB value, 0 to 1, of a linear one."""
+    v = min(max(value, 0.0), 1.0)
+    return 12.92 * v if v <= 0.0031308 else float(1.055 * v ** (1 / 2.4) - 0.055)

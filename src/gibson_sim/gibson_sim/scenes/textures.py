@@ -1,0 +1,123 @@
+"""Finds and decodes the images that meshes name, each once, and only inside the folders that are allowed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from urllib.parse import unquote
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.scenes.mesh_types import TextureSource
+
+Warn = Callable[[str], None]
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".webp", ".gif", ".ppm")
+
+
+def is_inside(path: Path, roots: Sequence[Path]) -> bool:
+    """Whether the file, symbolic links followed, lies under one of ``roots``."""
+    resolved = Path(os.path.realpath(path))
+    return any(resolved.is_relative_to(os.path.realpath(root)) for root in roots)
+
+
+def local_path(uri: str, folder: Path) -> Path:
+    """Returns the path that a reference in a mesh file means: percent-decoded, ``\\`` as ``/``, ``file://`` dropped."""
+    text = unquote(uri.strip()).replace("\\", "/")
+    if text.lower().startswith("file://"):
+        text = text[7:]
+    return folder / text
+
+
+class TextureStore:
+    """Decodes each image once for as long as it lives.
+
+    Args:
+        roots: folders that images may lie in.
+        decode: False = only check that they are there, for users of geometry alone.
+    """
+
+    def __init__(self, roots: Sequence[Path], decode: bool = True) -> None:
+        self.roots = tuple(roots)
+        self.decode = decode
+        self._by_file: dict[Path, TextureSource | None] = {}
+
+    def from_uri(self, uri: str, mesh: Path, files: list[Path], warn: Warn, *, search: bool = True) -> TextureSource | None:
+        """Returns the image that ``mesh`` names, or None after a warning; with ``decode`` off always None.
+
+        Args:
+            uri: the reference, relative to the mesh.
+            mesh: the mesh file.
+            files: gets the path of the image.
+            warn: takes one line on what is wrong.
+            search: look in the usual folders near the mesh if it is not where it should be.
+        """
+        wanted = local_path(uri, mesh.parent)
+        path = wanted if wanted.is_file() else (self._nearby(wanted, mesh) if search else None)
+        if not is_inside(path or wanted, self.roots):
+            warn(f"{mesh}: texture {uri!r} lies outside the scene's folder; it is not read, the surface gets its base colour")
+            return None
+        if path is None:
+            warn(f"{mesh}: texture {wanted.name} is missing (looked at {wanted}); the surface gets its base colour")
+            return None
+        if path != wanted and path.name.lower() != wanted.name.lower():
+            warn(f"{mesh}: texture {wanted.name} is missing; used {path.name}, the only image beside the mesh")
+        path = Path(os.path.realpath(path))
+        if path not in files:
+            files.append(path)
+        if not self.decode:
+            return None
+        if path not in self._by_file:
+            pixels = decode_image(path.read_bytes())
+            self._by_file[path] = None if pixels is None else TextureSource(str(path), pixels)
+        if self._by_file[path] is None:
+            warn(f"{mesh}: texture {path.name} cannot be decoded ({path}); the surface gets its base colour")
+        return self._by_file[path]
+
+    def from_bytes(self, name: str, data: bytes, warn: Warn) -> TextureSource | None:
+        """Returns the image in ``data``, the bytes of an image file, or None after a warning."""
+        if not self.decode:
+            return None
+        pixels = decode_image(data)
+        if pixels is None:
+            warn(f"{name} cannot be decoded ({len(data)} bytes); the surface gets its base colour")
+            return None
+        return TextureSource(name, pixels)
+
+    def _nearby(self, wanted: Path, mesh: Path) -> Path | None:
+        """Returns an image of the wanted name in the usual folders near the mesh, else the only image beside the mesh."""
+        here = mesh.parent
+        folders = (wanted.parent, here, here / "textures", here.parent / "textures", here.parent / "materials" / "textures")
+        for folder in folders:
+            if not (folder.is_dir() and is_inside(folder, self.roots)):
+                continue
+            for entry in sorted(folder.iterdir()):
+                if entry.name.lower() == wanted.name.lower() and entry.is_file():
+                    return entry
+        images = [p for p in sorted(here.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file()]
+        # Scans come as one mesh and one image, and the image is the file that gets renamed.
+        return images[0] if len(images) == 1 and mesh.suffix.lower() == ".obj" else None
+
+
+def decode_image(data: bytes) -> NDArray[np.uint8] | None:
+    """Returns (H, W, 3) RGB or (H, W, 4) RGBA uint8 of an image file's bytes, or None if they are none."""
+    if not data:
+        return None
+    try:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None
+    if image is None:
+        return None
+    if image.dtype == np.uint16:
+        image = (image // 257).astype(np.uint8)
+    elif image.dtype != np.uint8:
+        image = np.clip(image * 255.0, 0, 255).astype(np.uint8)
+    if image.ndim == 2 or image.shape[2] == 1:
+        return np.repeat(image.reshape(*image.shape[:2], 1), 3, axis=2)
+    if image.shape[2] == 2:
+        return np.concatenate([np.repeat(image[:, :, :1], 3, axis=2), image[:, :, 1:]], axis=2)
+    code = cv2.COLOR_BGRA2RGBA if image.shape[2] == 4 else cv2.COLOR_BGR2RGB
+    return np.asarray(cv2.cvtColor(image, code), dtype=np.uint8)

@@ -1,0 +1,69 @@
+"""Finds the files that world files name: ``model://``, ``package://``, ``file://`` and relative paths."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import unquote
+
+_MODEL_VARIABLES = ("GAZEBO_MODEL_PATH", "GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "SDF_PATH")
+_LEVELS_UP = 3
+
+
+def environment_folders() -> tuple[Path, ...]:
+    """Returns the existing model folders that Gazebo's environment variables name."""
+    entries = [Path(e).expanduser() for variable in _MODEL_VARIABLES for e in os.environ.get(variable, "").split(":") if e]
+    return tuple(dict.fromkeys(Path(os.path.realpath(e)) for e in entries if e.is_dir()))
+
+
+def ancestors(folder: Path, levels: int = _LEVELS_UP) -> tuple[Path, ...]:
+    """Returns the folder and up to ``levels`` folders above it, never the file system's root."""
+    return tuple(p for p in (folder, *folder.parents)[: levels + 1] if p != p.parent)
+
+
+class UriResolver:
+    """Finds files of one scene.
+
+    Args:
+        root: folder of the scene.
+        world: folder of the world file.
+    """
+
+    def __init__(self, root: Path, world: Path) -> None:
+        self.root = root
+        inside = [p for p in ancestors(world, 8) if p.is_relative_to(root)] or [world]
+        self.ancestors = (*inside, *(() if root in inside else (root,)))
+        own = [folder for base in self.ancestors for folder in (base / "models", base)]
+        self.model_folders = tuple(dict.fromkeys([f for f in own if f.is_dir()] + list(environment_folders())))
+
+    def find(self, uri: str, base: Path) -> Path | None:
+        """Returns the file or folder that ``uri`` means in a file of folder ``base``, or None."""
+        return next((p for p in self._candidates(unquote(uri.strip()), base) if p.exists()), None)
+
+    def _candidates(self, uri: str, base: Path) -> Iterator[Path]:
+        scheme, separator, rest = uri.partition("://")
+        scheme = scheme.lower() if separator else ""
+        if scheme == "package":
+            yield from self._package(rest)
+        elif scheme == "model":
+            yield from (folder / rest.lstrip("/") for folder in self.model_folders)
+        elif scheme == "file":
+            if rest.startswith("/"):
+                yield Path(rest)
+            yield from (folder / rest.lstrip("/").removeprefix("models/") for folder in self.model_folders)
+            yield base / rest.lstrip("/")
+        elif not scheme:
+            yield base / uri
+            yield from (folder / uri.removeprefix("models/") for folder in self.model_folders)
+
+    def _package(self, rest: str) -> Iterator[Path]:
+        name, _, inner = rest.partition("/")
+        for variable, below in (("AMENT_PREFIX_PATH", f"share/{name}"), ("ROS_PACKAGE_PATH", name)):
+            yield from (Path(entry) / below / inner for entry in os.environ.get(variable, "").split(":") if entry)
+        yield from (folder / inner for folder in self.ancestors if folder.name == name)
+        # The package is not installed, and the scene may hold only a part of it: try shorter and shorter ends of the path.
+        parts = [p for p in inner.split("/") if p]
+        for start in range(len(parts)):
+            yield from (folder.joinpath(name, *parts[start:]) for folder in self.ancestors if start == 0)
+            yield from (folder.joinpath(*parts[start:]) for folder in self.ancestors)
