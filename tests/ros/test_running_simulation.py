@@ -49,8 +49,7 @@ def test_standard_client_drives_one_metre_within_two_centimetres(sim: Launched, 
     client = subprocess.Popen([sys.executable, str(CLIENT), kind, "0.5"], stdout=subprocess.PIPE, text=True)
     listener.spin_until(lambda: client.poll() is not None, "end of the client")
     after = truth[-1].pose.pose.position
-    assert client.stdout is not None
-    said = float(client.stdout.read())
+    said = float(client.communicate()[0])
     assert math.hypot(after.x - before.x, after.y - before.y) == pytest.approx(0.5, abs=0.01)
     assert said == pytest.approx(0.5, abs=0.01)
 

@@ -46,8 +46,9 @@ class Launched:
 
     def _read(self) -> None:
         assert self.process.stdout is not None
-        for line in self.process.stdout:
-            self.lines.append(line.rstrip())
+        with self.process.stdout as output:
+            for line in output:
+                self.lines.append(line.rstrip())
 
     def wait_for_line(self, text: str, *, after: int = 0) -> str:
         """Returns the first line, from number ``after`` on, that holds ``text``."""

@@ -82,7 +82,7 @@ class PhysicsConfig:
         0.0, "Images a second for every camera; 0 = as the robot's file says", unit="Hz", minimum=0.0, maximum=1000.0
     )
     wait_for: str = setting(
-        "", "Hold the first tick until topics have so many subscribers, e.g. `scene_state:1,odom:2` (120 s at most)"
+        "", "Hold the first tick until topics have so many subscribers, e.g. `scene_state:1,cameras:1` (120 s at most)"
     )
     summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from gibson_sim.cli import shared_memory
 from gibson_sim.cli.processes import DomainLock
 from gibson_sim.cli.shared_memory import remove_dead_segments
 from gibson_sim.errors import AlreadyRunningError
@@ -30,13 +31,21 @@ def test_other_domain_is_free(tmp_path: Path) -> None:
         lock.close()
 
 
-def test_dead_segments_go_and_living_ones_stay(tmp_path: Path) -> None:
-    for name in ("fastrtps_dead", "fastrtps_dead_el", "fastrtps_alive", "fastrtps_alive_el", "somebody_else_el"):
+def test_dead_segments_go_and_living_ones_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    dead = ["fastrtps_dead", "fastrtps_dead_el", "fastrtps_port7001", "fastrtps_port7001_el", "sem.fastrtps_port7001_mutex"]
+    orphan = ["fastrtps_port7002", "sem.fastrtps_port7002_mutex"]
+    alive = ["fastrtps_alive", "fastrtps_alive_el", "fastrtps_port7003", "fastrtps_port7003_el", "sem.fastrtps_port7003_mutex"]
+    for name in (*dead, *orphan, *alive, "somebody_else_el"):
         (tmp_path / name).touch()
-    with (tmp_path / "fastrtps_alive_el").open("r+") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
+    with (tmp_path / "fastrtps_alive_el").open("r+") as a, (tmp_path / "fastrtps_port7003_el").open("r+") as b:
+        fcntl.flock(a, fcntl.LOCK_EX)
+        fcntl.flock(b, fcntl.LOCK_EX)
         remove_dead_segments(tmp_path)
-        assert sorted(p.name for p in tmp_path.iterdir()) == ["fastrtps_alive", "fastrtps_alive_el", "somebody_else_el"]
+        left = {p.name for p in tmp_path.iterdir()}
+        assert left == {*orphan, *alive, "somebody_else_el"}, "a port that was made just now may still get its lock"
+        monkeypatch.setattr(shared_memory, "SETTLED_S", -1.0)
+        remove_dead_segments(tmp_path)
+        assert {p.name for p in tmp_path.iterdir()} == {*alive, "somebody_else_el"}
 
 
 def _cli(*argv: str) -> subprocess.CompletedProcess[str]:

@@ -48,10 +48,11 @@ class NodeProcess:
 
     def _read(self) -> None:
         assert self._process.stdout is not None
-        for line in self._process.stdout:
-            self._tail.append(line.rstrip())
-            self._out.write(f"{self.name:8} | {line.rstrip()}\n")
-            self._out.flush()
+        with self._process.stdout as output:
+            for line in output:
+                self._tail.append(line.rstrip())
+                self._out.write(f"{self.name:8} | {line.rstrip()}\n")
+                self._out.flush()
 
     @property
     def pid(self) -> int:

@@ -25,7 +25,7 @@ from gibson_sim.resources import find_scene
 MAX_RESTARTS = 3
 USER_ERROR = 1
 """Exit code of a node whose settings, scene or machine is at fault: starting it again would not help."""
-STATE_TOPIC, TRUTH_TOPIC = "scene_state", "ground_truth/odom"
+STATE_TOPIC, TRUTH_TOPIC, CAMERAS = "scene_state", "ground_truth/odom", "cameras"
 
 
 def add_parser(subparsers: Any) -> None:
@@ -120,7 +120,9 @@ def _plan(args: argparse.Namespace, folder: Path) -> _Job:
             )
         record = {"output": str(job.bag), "summary_path": str(folder / "record.json")}
         job.configs["record"] = settings_from_args(RecordConfig, args, duration=0.0, **record)
-        waits = {STATE_TOPIC: waits.get(STATE_TOPIC, 0) + 1, TRUTH_TOPIC: waits.get(TRUTH_TOPIC, 0) + 1}
+        waits = {topic: waits.get(topic, 0) + 1 for topic in (STATE_TOPIC, TRUTH_TOPIC)}
+        if not args.no_render:
+            waits[CAMERAS] = 1
     if not args.no_render:
         job.configs["render"] = settings_from_args(RenderConfig, args, summary_path=str(folder / "render.json"))
     elif args.video or args.snapshot:

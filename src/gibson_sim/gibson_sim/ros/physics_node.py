@@ -160,6 +160,9 @@ class PhysicsNode(Node):
     def _wait_for_subscribers(self, executor: SingleThreadedExecutor) -> None:
         """Holds time until the topics in ``wait_for`` have their subscribers, so that nobody misses the start."""
         wanted, deadline = self._config.wanted_subscribers(), time.monotonic() + WAIT_LIMIT_S
+        count = wanted.pop("cameras", 0)
+        images = [names.camera_topics(camera.name)[output] for camera in self._cameras for output in camera.outputs]
+        wanted.update(dict.fromkeys(images, count))
         while rclpy.ok():
             missing = {topic: count for topic, count in wanted.items() if self.count_subscribers(topic) < count}
             if not missing:

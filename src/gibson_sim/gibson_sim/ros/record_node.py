@@ -23,7 +23,7 @@ from gibson_sim.ros.node_main import run_node, write_summary
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.types import NS_PER_S
 
-DEPTH = 50
+DEPTH = 200
 """Messages of a topic that may wait for the disk."""
 
 
@@ -56,7 +56,7 @@ class RecordNode(Node):
         self._counts: dict[str, int] = {}
         self._error = ""
         self._done = False
-        self.create_subscription(ClockMsg, names.CLOCK, self._on_clock, qos.CLOCK, raw=True)
+        self.create_subscription(ClockMsg, names.CLOCK, self._on_clock, DEPTH, raw=True)
         self.create_timer(0.2, self._find_topics, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._find_topics()
 

@@ -1,0 +1,158 @@
+"""Message definitions as a bag embeds them: the text of a type, the texts of all types nested in it, and its RIHS01 hash.
+
+A definition is looked for in what the caller gives, in the ROS installations, in the source tree, and last in the Jazzy types
+that `rosbags` carries. Must not import rclpy or a message package.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
+
+from gibson_sim.errors import RecordError
+
+_SEPARATOR = "=" * 80
+_TYPE_NAME = re.compile(r"([a-zA-Z][a-zA-Z0-9_]*)/(?:msg/)?([a-zA-Z][a-zA-Z0-9_]*)")
+
+
+def canonical_type(name: str) -> str:
+    """Returns ``package/msg/Type`` of ``package/msg/Type`` or ``package/Type``.
+
+    Raises:
+        RecordError: it is not the name of a message type (services and actions cannot be recorded).
+    """
+    match = _TYPE_NAME.fullmatch(name)
+    if not match:
+        raise RecordError(f"type {name!r} is not a message type; must be <package>/msg/<Type>, such as sensor_msgs/msg/Image")
+    return f"{match[1]}/msg/{match[2]}"
+
+
+class MessageDefinitions:
+    """Finds definitions of message types and keeps what it found."""
+
+    def __init__(self, given: Mapping[str, str] | None = None) -> None:
+        """Takes the caller's own definitions.
+
+        Args:
+            given: text of the ``.msg`` file by type name; wins over everything installed.
+        """
+        self._texts = {canonical_type(name): text for name, text in (given or {}).items()}
+        self._full: dict[str, tuple[str, str]] = {}
+
+    def full_text(self, type_name: str) -> str:
+        """Returns the definition followed by those of all nested types, as rosbag2 writes it (encoding ``ros2msg``).
+
+        Raises:
+            RecordError: the definition, or that of a nested type, is not found or not understood.
+        """
+        return self._resolve(canonical_type(type_name))[0]
+
+    def type_hash(self, type_name: str) -> str:
+        """Returns the hash of the type, ``RIHS01_<64 hex digits>``.
+
+        Raises:
+            RecordError: the definition, or that of a nested type, is not found or not understood.
+        """
+        return self._resolve(canonical_type(type_name))[1]
+
+    def _resolve(self, name: str) -> tuple[str, str]:
+        if name not in self._full:
+            text = self._text(name, wanted_by="")
+            parts, seen, waiting = [text.rstrip("\n") + "\n"], {name}, [(name, text)]
+            while waiting:
+                outer, text = waiting.pop(0)
+                for inner in _nested_types(outer, text):
+                    if inner in seen:
+                        continue
+                    seen.add(inner)
+                    text = self._text(inner, wanted_by=outer)
+                    parts.append(f"{_SEPARATOR}\nMSG: {inner.replace('/msg/', '/')}\n{text.rstrip()}\n")
+                    waiting.append((inner, text))
+            full = "".join(parts)
+            self._full[name] = full, _hash(name, full)
+        return self._full[name]
+
+    def _text(self, name: str, wanted_by: str) -> str:
+        """Returns the text of one type alone."""
+        if name not in self._texts:
+            text = _installed_text(name)
+            if text is None:
+                text = _jazzy_text(name)
+            if text is None:
+                of = f"type {name!r}" + (f", which {wanted_by} contains" if wanted_by else "")
+                raise RecordError(
+                    f"{of}: no .msg file found under share/*/msg of {', '.join(map(str, _prefixes())) or 'any installation'}; "
+                    "source the workspace that defines it before recording"
+                )
+            self._texts[name] = text
+        return self._texts[name]
+
+
+def _nested_types(name: str, text: str) -> list[str]:
+    """Returns the message types of the fields, in their order, without repetition."""
+    try:
+        fields = get_types_from_msg(text, name)[name][1]
+    except (TypesysError, KeyError) as error:
+        raise RecordError(f"type {name!r}: its definition is not understood ({error}); it cannot be recorded") from error
+    return list(dict.fromkeys(_message_types(desc) for _, desc in fields if _message_types(desc)))
+
+
+def _message_types(desc: Any) -> str:
+    """Returns the message type of a field, also of an array's elements; empty for primitive types."""
+    kind, rest = desc
+    if kind.name in ("ARRAY", "SEQUENCE"):
+        return _message_types(rest[0])
+    return str(rest) if kind.name == "NAME" else ""
+
+
+def _hash(name: str, full_text: str) -> str:
+    """Returns the hash of a type from its whole definition."""
+    store = get_typestore(Stores.EMPTY)
+    try:
+        store.register(get_types_from_msg(full_text, name))
+        return str(store.hash_rihs01(name))
+    except (TypesysError, SerdeError, KeyError) as error:
+        raise RecordError(f"type {name!r}: its definition is not understood ({error}); it cannot be recorded") from error
+
+
+def _prefixes() -> tuple[Path, ...]:
+    """Returns the roots of the ROS installations, the first one wins."""
+    entries = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
+    return tuple(dict.fromkeys(Path(entry) for entry in entries if entry))
+
+
+def _candidates(package: str, name: str) -> Iterator[Path]:
+    for prefix in _prefixes():
+        yield prefix / "share" / package / "msg" / f"{name}.msg"
+    for parent in Path(__file__).resolve().parents:
+        for source in ("src", "ros_ws/src/compat"):
+            yield parent / source / package / "msg" / f"{name}.msg"
+
+
+def _installed_text(type_name: str) -> str | None:
+    package, _, name = type_name.partition("/msg/")
+    for path in _candidates(package, name):
+        if path.is_file():
+            return path.read_text(encoding="utf-8")
+    return None
+
+
+def _jazzy_text(type_name: str) -> str | None:
+    store = _jazzy_store()
+    if type_name not in store.fielddefs:
+        return None
+    return str(store.generate_msgdef(type_name, ros_version=2)[0].partition(_SEPARATOR)[0])
+
+
+@lru_cache(maxsize=1)
+def _jazzy_store() -> Typestore:
+    return get_typestore(Stores.ROS2_JAZZY)

@@ -1,0 +1,157 @@
+"""``metadata.yaml`` of a rosbag2 folder, version 9 (Jazzy), and the quality of service that it holds for every topic."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Protocol
+
+import yaml
+
+METADATA_FILE = "metadata.yaml"
+VERSION = 9
+ROS_DISTRO = "jazzy"
+FOREVER_NS = 2**63 - 1
+"""What Fast DDS reports for a deadline, lifespan or lease that never ends."""
+
+
+class Profile(Protocol):
+    """The attributes of ``rclpy.qos.QoSProfile`` that tell history, depth, reliability and durability."""
+
+    @property
+    def depth(self) -> int:
+        """Messages kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicQos:
+    """Quality of service of a topic, in the words of rosbag2. With it ``ros2 bag play`` publishes the topic as it was."""
+
+    history: str = "keep_last"
+    depth: int = 10
+    reliability: str = "reliable"
+    durability: str = "volatile"
+    """``transient_local`` = latched: late joiners get the last message, also in a replay."""
+    deadline_ns: int = FOREVER_NS
+    lifespan_ns: int = FOREVER_NS
+    liveliness: str = "automatic"
+    liveliness_lease_duration_ns: int = FOREVER_NS
+    avoid_ros_namespace_conventions: bool = False
+
+    @classmethod
+    def latched(cls, depth: int = 1) -> TopicQos:
+        """Returns the quality of service of a latched topic."""
+        return cls(depth=depth, durability="transient_local")
+
+    @classmethod
+    def of(cls, profile: TopicQos | Profile | None) -> TopicQos:
+        """Returns it from ``rclpy.qos.QoSProfile``, or from anything with the same attributes; None = the default."""
+        if profile is None:
+            return cls()
+        if isinstance(profile, cls):
+            return profile
+        values: dict[str, Any] = {}
+        for f in fields(cls):
+            value = getattr(profile, f.name.removesuffix("_ns"))
+            if f.name.endswith("_ns"):
+                value = int(value.nanoseconds)
+            elif f.type == "str":
+                value = str(value.name).lower()
+            values[f.name] = value
+        return cls(**values)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Returns the mapping that rosbag2 writes."""
+        values: dict[str, Any] = {}
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if f.name.endswith("_ns"):
+                seconds, nanoseconds = divmod(value, 1_000_000_000)
+                value = {"sec": seconds, "nsec": nanoseconds}
+            values[f.name.removesuffix("_ns")] = value
+        return values
+
+
+@dataclass(frozen=True, slots=True)
+class TopicRecord:
+    """One topic as the metadata lists it."""
+
+    name: str
+    type_name: str
+    qos: Sequence[dict[str, Any]]
+    """Offered profiles, as ``TopicQos.as_dict`` has them."""
+    type_hash: str
+    count: int
+
+
+def dump_qos(profiles: Sequence[dict[str, Any]]) -> str:
+    """Returns the text of ``offered_qos_profiles`` in the metadata of an mcap channel."""
+    return _dump(list(profiles)).rstrip("\n") if profiles else ""
+
+
+def bag_information(topics: Sequence[TopicRecord], file_name: str, start_ns: int, end_ns: int) -> dict[str, Any]:
+    """Returns what stands under ``rosbag2_bagfile_information``.
+
+    Args:
+        topics: all topics, also those without a message.
+        file_name: name of the one storage file in the folder.
+        start_ns: time of the first message; 0 if there is none.
+        end_ns: time of the last message; 0 if there is none.
+    """
+    count = sum(topic.count for topic in topics)
+    start, duration = {"nanoseconds_since_epoch": start_ns}, {"nanoseconds": end_ns - start_ns}
+    return {
+        "version": VERSION,
+        "storage_identifier": "mcap",
+        "duration": dict(duration),
+        "starting_time": dict(start),
+        "message_count": count,
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": topic.name,
+                    "type": topic.type_name,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": list(topic.qos),
+                    "type_description_hash": topic.type_hash,
+                },
+                "message_count": topic.count,
+            }
+            for topic in topics
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [file_name],
+        "files": [{"path": file_name, "starting_time": dict(start), "duration": dict(duration), "message_count": count}],
+        "custom_data": None,
+        "ros_distro": ROS_DISTRO,
+    }
+
+
+def dump_information(information: dict[str, Any]) -> str:
+    """Returns the text that the mcap file itself carries, in its metadata record ``rosbag2``."""
+    return _dump(information)
+
+
+def write_metadata(folder: Path, information: dict[str, Any]) -> None:
+    """Writes ``metadata.yaml``, whole or not at all."""
+    path = folder / METADATA_FILE
+    draft = folder / (METADATA_FILE + ".tmp")
+    try:
+        draft.write_text(_dump({"rosbag2_bagfile_information": information}), encoding="utf-8")
+        os.replace(draft, path)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+class _PlainDumper(yaml.SafeDumper):
+    """Writes equal objects out each time: yaml-cpp is not asked to follow anchors."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def _dump(value: Any) -> str:
+    return str(yaml.dump(value, Dumper=_PlainDumper, sort_keys=False, default_flow_style=False, allow_unicode=True))

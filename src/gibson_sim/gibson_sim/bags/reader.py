@@ -1,0 +1,208 @@
+"""Reads bags: topics, messages in the order of their log time, stamps, images as arrays.
+
+A thin layer over `rosbags`, which needs no ROS: the types come from the definitions inside the bag. Must not import rclpy.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.interfaces import Connection
+from rosbags.rosbag2 import ReaderError
+
+from gibson_sim.errors import RecordError
+
+NS_PER_S = 1_000_000_000
+COLOUR_ENCODINGS = ("rgb8", "bgr8", "mono8")
+DEPTH_ENCODINGS = ("32FC1", "16UC1")
+_ENCODINGS: dict[str, tuple[str, int]] = {
+    "rgb8": ("u1", 3),
+    "bgr8": ("u1", 3),
+    "mono8": ("u1", 1),
+    "32FC1": ("f4", 1),
+    "16UC1": ("u2", 1),
+}
+"""numpy type and channels of the encodings that can be read."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """One topic of a bag."""
+
+    name: str
+    type_name: str
+    """``<package>/msg/<Type>``."""
+    count: int
+    """Messages."""
+    latched: bool
+    """Late joiners get the last message."""
+    stamped: bool
+    """Messages begin with a stamp: ``stamp_ns`` works on their bytes."""
+
+
+class BagReader:
+    """An open bag folder. Use it as a context manager, or call ``close``."""
+
+    def __init__(self, folder: str | Path) -> None:
+        """Opens a bag.
+
+        Raises:
+            RecordError: it is no bag, or one that was cut off.
+        """
+        self.folder = Path(folder)
+        if not self.folder.is_dir():
+            raise RecordError(f"there is no bag at {self.folder}: give the folder that was recorded")
+        self._reader: AnyReader | None = None
+        try:
+            reader = AnyReader([self.folder])
+            reader.open()
+        except (AnyReaderError, OSError, KeyError, IndexError, TypeError, ValueError, struct.error) as error:
+            raise RecordError(
+                f"bag {self.folder} cannot be read ({error}); if its recording was cut off, "
+                f"run `gibson-sim bag repair {self.folder}`"
+            ) from error
+        self._reader = reader
+
+    def topics(self) -> dict[str, TopicInfo]:
+        """Returns all topics by name, sorted."""
+        infos: dict[str, TopicInfo] = {}
+        for connection in sorted(self._open().connections, key=lambda c: c.topic):
+            profiles = getattr(connection.ext, "offered_qos_profiles", [])
+            latched = any(profile.durability.name == "TRANSIENT_LOCAL" for profile in profiles)
+            count = connection.msgcount + (infos[connection.topic].count if connection.topic in infos else 0)
+            infos[connection.topic] = TopicInfo(
+                connection.topic, connection.msgtype, count, latched, self._begins_with_stamp(connection.msgtype)
+            )
+        return infos
+
+    def messages(
+        self, topics: Collection[str] | None = None, *, start_ns: int | None = None, stop_ns: int | None = None
+    ) -> Iterator[tuple[str, int, Any]]:
+        """Yields (topic, log time in nanoseconds, message) in the order of log time.
+
+        Args:
+            topics: only these; None = all.
+            start_ns: first log time wanted, nanoseconds.
+            stop_ns: log time to end before, nanoseconds.
+
+        Raises:
+            RecordError: a topic is not in the bag, or a message cannot be decoded.
+        """
+        types = {name: info.type_name for name, info in self.topics().items()}
+        for topic, log_time, data in self.raw_messages(topics, start_ns=start_ns, stop_ns=stop_ns):
+            yield topic, log_time, self.decode(types[topic], data)
+
+    def raw_messages(
+        self, topics: Collection[str] | None = None, *, start_ns: int | None = None, stop_ns: int | None = None
+    ) -> Iterator[tuple[str, int, bytes]]:
+        """Yields (topic, log time in nanoseconds, CDR bytes): ``messages`` without decoding."""
+        reader = self._open()
+        chosen = self._connections(topics)
+        if not chosen:
+            return
+        try:
+            for connection, log_time, data in reader.messages(chosen, start=start_ns, stop=stop_ns):
+                yield connection.topic, log_time, data
+        except (AnyReaderError, ReaderError, OSError) as error:
+            raise RecordError(f"bag {self.folder} is damaged ({error}); run `gibson-sim bag repair` on a copy of it") from error
+
+    def decode(self, type_name: str, data: bytes) -> Any:
+        """Returns the message: an object with the fields of the ROS message, arrays as numpy arrays.
+
+        Raises:
+            RecordError: the bytes are not such a message.
+        """
+        try:
+            return self._open().deserialize(data, type_name)
+        except (AnyReaderError, KeyError) as error:
+            raise RecordError(f"bag {self.folder}: a message of type {type_name} cannot be decoded: {error}") from error
+
+    def close(self) -> None:
+        """Closes the bag; a second time does nothing."""
+        reader, self._reader = self._reader, None
+        if reader is not None:
+            reader.close()
+
+    def __enter__(self) -> BagReader:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
+        self.close()
+
+    def _open(self) -> AnyReader:
+        if self._reader is None:
+            raise RecordError(f"bag {self.folder} is closed")
+        return self._reader
+
+    def _connections(self, topics: Collection[str] | None) -> list[Connection]:
+        connections = self._open().connections
+        if topics is None:
+            return list(connections)
+        known = {c.topic for c in connections}
+        unknown = sorted(set(topics) - known)
+        if unknown:
+            raise RecordError(f"bag {self.folder} has no topic {', '.join(unknown)}; it has {', '.join(sorted(known)) or 'none'}")
+        return [c for c in connections if c.topic in set(topics)]
+
+    def _begins_with_stamp(self, type_name: str) -> bool:
+        fields = self._open().typestore.fielddefs.get(type_name, ([], []))[1]
+        return bool(fields) and fields[0][1][1] in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")
+
+
+def stamp_ns(data: bytes) -> int:
+    """Returns the stamp at the start of a message's CDR bytes, nanoseconds; the type begins with a Header or a Time."""
+    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
+    return int(seconds) * NS_PER_S + int(nanoseconds)
+
+
+def header_stamp_ns(stamp: Any) -> int:
+    """Returns a ``builtin_interfaces/Time`` in nanoseconds."""
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def nominal_period_ns(stamps: NDArray[np.int64]) -> float:
+    """Returns the period of a series of rising stamps (N,), nanoseconds, gaps left out; 0.0 if there are fewer than two."""
+    steps = np.diff(stamps)
+    steps = steps[steps > 0]
+    if not len(steps):
+        return 0.0
+    # Ticks quantise the stamps (33, 33, 50 ms), so the median alone is not the period; a lost frame doubles a step.
+    return float(steps[steps <= 1.6 * np.median(steps)].mean())
+
+
+def image_to_array(msg: Any) -> NDArray[Any]:
+    """Returns the pixels of a ``sensor_msgs/Image``, row 0 on top, as the message has them.
+
+    Args:
+        msg: encoding rgb8, bgr8, mono8 (uint8), 16UC1 (uint16, millimetres) or 32FC1 (float32, metres).
+
+    Returns:
+        (height, width, 3) for rgb8 and bgr8, in that order of colours; (height, width) for the others. A view if possible.
+
+    Raises:
+        RecordError: another encoding, or too few bytes.
+    """
+    if msg.encoding not in _ENCODINGS:
+        raise RecordError(f"image encoding {msg.encoding!r} cannot be read, must be one of {', '.join(_ENCODINGS)}")
+    code, channels = _ENCODINGS[msg.encoding]
+    dtype = np.dtype((">" if msg.is_bigendian else "<") + code)
+    data = np.frombuffer(msg.data, dtype=np.uint8)
+    row = msg.width * channels * dtype.itemsize
+    if msg.step < row or len(data) < msg.step * msg.height:
+        raise RecordError(
+            f"image {msg.width}x{msg.height} {msg.encoding} has step {msg.step} and {len(data)} bytes, "
+            f"must have at least {row} and {msg.step * msg.height}"
+        )
+    pixels = data[: msg.step * msg.height].reshape(msg.height, msg.step)[:, :row]
+    pixels = np.ascontiguousarray(pixels).view(dtype)
+    if dtype.byteorder == ">":
+        pixels = pixels.astype(dtype.newbyteorder("="))
+    return pixels.reshape((msg.height, msg.width, channels) if channels > 1 else (msg.height, msg.width))

@@ -1,0 +1,330 @@
+"""A video and a contact sheet from the images of a bag: colour, and beside it depth in false colours."""
+
+from __future__ import annotations
+
+import bisect
+import logging
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.bags.reader import (
+    COLOUR_ENCODINGS,
+    DEPTH_ENCODINGS,
+    NS_PER_S,
+    BagReader,
+    image_to_array,
+    nominal_period_ns,
+    stamp_ns,
+)
+from gibson_sim.errors import RecordError
+from gibson_sim.geometry.transforms import yaw_from_quat
+
+IMAGE = "sensor_msgs/msg/Image"
+ODOMETRY = "nav_msgs/msg/Odometry"
+DEPTH_RANGE_M = 8.0
+"""Depth that has the coldest colour; everything farther has it too. 0 m has the warmest."""
+MAX_FPS = 60.0
+CODECS = ("avc1", "vp09", "mp4v")
+"""H.264 and VP9 play in browsers and players; MPEG-4 Part 2, which every OpenCV has, in players only."""
+VP9_PIXELS = 400_000_000
+"""Beyond so many pixels (a minute of 640x480 with depth) VP9, at some 10 megapixels a second, takes too long unless asked for."""
+_log = logging.getLogger(__name__)
+
+Bgr = NDArray[np.uint8]
+
+
+def colourise_depth(depth_m: NDArray[np.floating[Any]], far_m: float = DEPTH_RANGE_M) -> Bgr:
+    """Returns depth in false colours, (H, W, 3) uint8 BGR: red is near, blue is ``far_m`` and beyond, black is nothing.
+
+    Args:
+        depth_m: (H, W), metres; infinite, NaN and 0 mean nothing.
+        far_m: fixed end of the scale, metres, so that colours mean the same in all images.
+    """
+    something = np.isfinite(depth_m) & (depth_m > 0)
+    near = 1.0 - np.clip(np.where(something, depth_m, 0.0) / far_m, 0.0, 1.0)
+    colours = cv2.applyColorMap(np.rint(near * 255.0).astype(np.uint8), cv2.COLORMAP_TURBO)
+    colours[~something] = 0
+    return np.asarray(colours, dtype=np.uint8)
+
+
+def image_to_bgr(msg: Any) -> Bgr:
+    """Returns any supported ``sensor_msgs/Image`` as a picture, (H, W, 3) uint8 BGR; depth in false colours.
+
+    Raises:
+        RecordError: the encoding is not supported.
+    """
+    pixels = image_to_array(msg)
+    if msg.encoding == "rgb8":
+        return np.ascontiguousarray(pixels[..., ::-1])
+    if msg.encoding == "mono8":
+        return np.repeat(pixels[..., None], 3, axis=2)
+    if msg.encoding == "16UC1":
+        return colourise_depth(pixels.astype(np.float32) / 1000.0)
+    return colourise_depth(pixels) if msg.encoding == "32FC1" else np.ascontiguousarray(pixels)
+
+
+def write_video(
+    bag: str | Path,
+    path: str | Path,
+    *,
+    topics: Sequence[str] | None = None,
+    fps: float | None = None,
+    speed: float = 1.0,
+    codec: str = "",
+) -> Path:
+    """Writes an MP4 of a bag's images, its timing that of the stamps.
+
+    Args:
+        bag: folder of the bag.
+        path: file to write; its folder must exist.
+        topics: image topics, shown side by side; the first one gives the frames. None = the first colour camera and its depth.
+        fps: frames a second of the video; None = as the stamps have it, 60 at most.
+        speed: seconds of simulation shown in a second of video.
+        codec: one of ``CODECS``; empty = the best that this OpenCV has.
+
+    Returns:
+        The path.
+
+    Raises:
+        RecordError: the bag has no images, or the video cannot be written.
+    """
+    if not speed > 0.0 or (fps is not None and not fps > 0.0):
+        raise RecordError(f"speed is {speed:g} and fps is {fps}; both must be above 0")
+    path = Path(path)
+    with BagReader(bag) as reader:
+        panels = _Panels(reader, topics)
+        shown = panels.stamps
+        period = nominal_period_ns(shown) or NS_PER_S / 10.0
+        rate = fps or min(NS_PER_S / period * speed, MAX_FPS)
+        repeats = _repeats(shown, NS_PER_S / rate * speed)
+        video: _Video | None = None
+        try:
+            for index, picture in panels.pictures(frozenset(np.flatnonzero(repeats).tolist())):
+                if video is None:
+                    video = _Video(path, codec, rate, (picture.shape[1], picture.shape[0]), int(repeats.sum()))
+                for _ in range(repeats[index]):
+                    video.write(picture)
+        finally:
+            if video is not None:
+                video.close()
+    return path
+
+
+def write_contact_sheet(
+    bag: str | Path, path: str | Path, columns: int = 4, rows: int = 4, *, topics: Sequence[str] | None = None, width: int = 320
+) -> Path:
+    """Writes a PNG of images evenly spaced along the drive, each over its depth, with stamp and odometry below.
+
+    Args:
+        bag: folder of the bag.
+        path: file to write; its folder must exist.
+        columns: images in a row.
+        rows: rows of images; fewer if the bag has fewer images.
+        topics: image topics, shown one above the other; None = the first colour camera and its depth.
+        width: of one image on the sheet, pixels.
+
+    Returns:
+        The path.
+
+    Raises:
+        RecordError: the bag has no images, or the file cannot be written.
+    """
+    if columns < 1 or rows < 1 or width < 32:
+        raise RecordError(f"contact sheet of {columns} columns, {rows} rows and width {width}; must be at least 1, 1 and 32")
+    with BagReader(bag) as reader:
+        panels = _Panels(reader, topics)
+        wanted = np.unique(np.rint(np.linspace(0, len(panels.stamps) - 1, columns * rows)).astype(np.int64))
+        odometry = _Odometry(reader)
+        cells = []
+        for index, picture in panels.pictures(frozenset(wanted.tolist()), stacked=True):
+            height = max(round(picture.shape[0] * width / picture.shape[1]), 1)
+            small = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
+            cells.append(np.vstack([small, _caption(width, int(panels.stamps[index]), odometry)]))
+    blank = np.zeros_like(cells[0])
+    columns = min(columns, len(cells))
+    cells += [blank] * (-len(cells) % columns)
+    sheet = np.vstack([np.hstack(cells[i : i + columns]) for i in range(0, len(cells), columns)])
+    path = Path(path)
+    # Not cv2.imwrite: it prints a warning and returns False where writing fails.
+    ok, png = cv2.imencode(".png", sheet)
+    assert ok, "a picture of uint8 can always be encoded"
+    try:
+        path.write_bytes(png.tobytes())
+    except OSError as error:
+        raise RecordError(f"contact sheet {path} cannot be written: {error.strerror}") from error
+    return path
+
+
+class _Panels:
+    """The images of some topics, put together where their stamps are equal."""
+
+    def __init__(self, reader: BagReader, topics: Sequence[str] | None) -> None:
+        self._reader = reader
+        self.topics = list(topics) if topics else _default_topics(reader)
+        wrong = [t for t in self.topics if t in reader.topics() and reader.topics()[t].type_name != IMAGE]
+        if wrong:
+            raise RecordError(f"bag {reader.folder}: {', '.join(wrong)} holds no images ({IMAGE})")
+        stamps: dict[str, list[int]] = {topic: [] for topic in self.topics}
+        for topic, _, raw in reader.raw_messages(self.topics):
+            stamps[topic].append(stamp_ns(raw))
+        if not stamps[self.topics[0]]:
+            raise RecordError(f"bag {reader.folder} has no images on {self.topics[0]}: record while the render node runs")
+        self._stamps = {topic: set(values) for topic, values in stamps.items()}
+        self.stamps: NDArray[np.int64] = np.unique(np.array(stamps[self.topics[0]], dtype=np.int64))
+        """Stamps of the frames, rising, nanoseconds."""
+
+    def pictures(self, wanted: frozenset[int], stacked: bool = False) -> Iterator[tuple[int, Bgr]]:
+        """Yields (index into ``stamps``, picture) of the wanted frames, in order; black where a topic lacks an image."""
+        todo = sorted(wanted)
+        numbers = {int(self.stamps[i]): i for i in todo}
+        waiting: dict[int, dict[str, Bgr]] = {stamp: {} for stamp in numbers}
+        sizes: dict[str, tuple[int, ...]] = {}
+        for topic, _, raw in self._reader.raw_messages(self.topics):
+            stamp = stamp_ns(raw)
+            if stamp in waiting:
+                waiting[stamp][topic] = image_to_bgr(self._reader.decode(IMAGE, raw))
+                sizes[topic] = waiting[stamp][topic].shape
+            while todo and self._complete(stamp := int(self.stamps[todo[0]]), waiting[stamp]):
+                yield todo.pop(0), self._join(waiting.pop(stamp), sizes, stacked)
+
+    def _complete(self, stamp: int, images: dict[str, Bgr]) -> bool:
+        return all(topic in images or stamp not in self._stamps[topic] for topic in self.topics)
+
+    def _join(self, images: dict[str, Bgr], sizes: dict[str, tuple[int, ...]], stacked: bool) -> Bgr:
+        first = images[self.topics[0]]
+        height, width = first.shape[:2]
+        parts = []
+        for topic in self.topics:
+            part = images.get(topic)
+            if part is None:
+                part = np.zeros(sizes.get(topic, first.shape), dtype=np.uint8)
+            if part.shape[:2] != (height, width):
+                # Depth of another resolution: nearest, so that no colours appear that no distance has.
+                part = np.asarray(cv2.resize(part, (width, height), interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
+            parts.append(part)
+        return np.vstack(parts) if stacked else np.hstack(parts)
+
+
+def _default_topics(reader: BagReader) -> list[str]:
+    """Returns the first colour image topic and the depth topic nearest to it in name; either alone if there is only one."""
+    infos = [info for info in reader.topics().values() if info.type_name == IMAGE and info.count]
+    if not infos:
+        raise RecordError(f"bag {reader.folder} has no images: record while the render node runs, with the image topics")
+    encodings = {info.name: next(reader.messages([info.name]))[2].encoding for info in infos}
+    colour = [name for name, encoding in encodings.items() if encoding in COLOUR_ENCODINGS]
+    depth = [name for name, encoding in encodings.items() if encoding in DEPTH_ENCODINGS]
+    if not colour and not depth:
+        raise RecordError(f"bag {reader.folder}: no image has a supported encoding, they are {encodings}")
+    if not colour:
+        return depth[:1]
+    near = sorted((d for d in depth if _camera(d) == _camera(colour[0])), key=len)
+    return [colour[0], *near[:1]]
+
+
+def _camera(topic: str) -> str:
+    """Returns the namespace of the camera: ``/camera`` of ``/camera/image_raw`` and of ``/camera/depth/image_raw``."""
+    namespace = topic.rpartition("/")[0]
+    return namespace.rpartition("/")[0] if namespace.endswith(("/depth", "/rgb", "/color", "/colour")) else namespace
+
+
+def _repeats(stamps: NDArray[np.int64], step_ns: float) -> NDArray[np.int64]:
+    """Returns how many frames of the video show each image (N,): every video frame shows the image nearest to its time."""
+    count = int(np.floor((stamps[-1] - stamps[0]) / step_ns + 0.5)) + 1
+    times = (np.arange(count) * step_ns).astype(np.float64)
+    since_start = (stamps - stamps[0]).astype(np.float64)
+    borders = (since_start[1:] + since_start[:-1]) / 2.0
+    return np.bincount(np.searchsorted(borders, times, side="right"), minlength=len(stamps)).astype(np.int64)
+
+
+class _Video:
+    """An MP4 that is being written."""
+
+    def __init__(self, path: Path, codec: str, fps: float, size: tuple[int, int], frames: int) -> None:
+        """Opens it with the wanted codec, or with the best one. ``size`` is (width, height), pixels."""
+        if codec and codec not in CODECS:
+            raise RecordError(f"codec {codec!r} is unknown, must be one of {', '.join(CODECS)}")
+        if not path.parent.is_dir():
+            raise RecordError(f"video {path}: its folder does not exist; make it first")
+        # H.264 and VP9 in 4:2:0 want even sides.
+        self._size = (size[0] + size[0] % 2, size[1] + size[1] % 2)
+        large = self._size[0] * self._size[1] * frames > VP9_PIXELS
+        choices = (codec,) if codec else tuple(c for c in CODECS if not (c == "vp09" and large))
+        writer = self._open(path, choices, fps)
+        if writer is None:
+            raise RecordError(
+                f"video {path} cannot be written: can the folder be written, and has OpenCV the codec {'/'.join(choices)}?"
+            )
+        self._writer: cv2.VideoWriter | None = writer
+
+    def _open(self, path: Path, choices: Sequence[str], fps: float) -> cv2.VideoWriter | None:
+        # OpenCV and FFmpeg tell about each codec that they lack; we go on to the next.
+        level = cv2.utils.logging.getLogLevel()
+        cv2.utils.logging.setLogLevel(0)
+        try:
+            for choice in choices:
+                writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*choice), fps, self._size)
+                if writer.isOpened():
+                    _log.info("video %s: codec %s, %g frames a second", path, choice, fps)
+                    return writer
+                writer.release()
+        finally:
+            cv2.utils.logging.setLogLevel(level)
+        return None
+
+    def write(self, picture: Bgr) -> None:
+        """Appends a frame; pictures must all have the size of the first one, but for one column or row of padding."""
+        assert self._writer is not None, "the video is closed"
+        right, bottom = self._size[0] - picture.shape[1], self._size[1] - picture.shape[0]
+        if not (0 <= right <= 1 and 0 <= bottom <= 1):
+            raise RecordError(
+                f"an image changes its size to {picture.shape[1]}x{picture.shape[0]} in the bag: no video can be made"
+            )
+        if right or bottom:
+            picture = np.asarray(cv2.copyMakeBorder(picture, 0, bottom, 0, right, cv2.BORDER_REPLICATE), dtype=np.uint8)
+        self._writer.write(picture)
+
+    def close(self) -> None:
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            writer.release()
+
+
+class _Odometry:
+    """The odometry of a bag, to be asked for a time; empty if there is none."""
+
+    def __init__(self, reader: BagReader) -> None:
+        names = sorted(
+            (i.name for i in reader.topics().values() if i.type_name == ODOMETRY and i.count),
+            key=lambda n: ("ground_truth" in n, n),
+        )
+        self._stamps: list[int] = []
+        self._raw: list[bytes] = []
+        self._reader = reader
+        for _, _, raw in reader.raw_messages(names[:1]) if names else ():
+            self._stamps.append(stamp_ns(raw))
+            self._raw.append(raw)
+
+    def text(self, stamp: int) -> str:
+        """Returns the position at the last odometry message up to the stamp."""
+        at = bisect.bisect_right(self._stamps, stamp) - 1
+        if at < 0:
+            return "no odometry"
+        pose = self._reader.decode(ODOMETRY, self._raw[at]).pose.pose
+        q = pose.orientation
+        yaw = np.degrees(yaw_from_quat((q.x, q.y, q.z, q.w)))
+        return f"x {pose.position.x:.2f} y {pose.position.y:.2f} m  {yaw:.0f} deg"
+
+
+def _caption(width: int, stamp: int, odometry: _Odometry) -> Bgr:
+    scale = width / 640.0
+    line = round(36 * scale)
+    caption = np.zeros((2 * line + 4, width, 3), dtype=np.uint8)
+    for row, text in enumerate((f"{stamp / NS_PER_S:.3f} s", odometry.text(stamp))):
+        at = (round(8 * scale), (row + 1) * line - round(8 * scale))
+        cv2.putText(caption, text, at, cv2.FONT_HERSHEY_SIMPLEX, scale, (255, 255, 255), 1, cv2.LINE_AA)
+    return caption

@@ -1,0 +1,155 @@
+"""Finds scenes, configuration files and other data by name, and knows where caches go.
+
+What starts with ``/``, ``./``, ``../`` or ``~`` is a path. Anything else is looked for, in this order: under every folder of
+``$GIBSON_SIM_PATH`` (separated by colons); in the ROS installations of ``$AMENT_PREFIX_PATH``; in the Python installation
+(``<prefix>/share/gibson_sim``); in the source tree, for an editable installation; in the current folder. Imports no other part
+of the package but the errors.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from gibson_sim.errors import ConfigError, GibsonSimError, RobotError, SceneNotFoundError
+
+PACKAGE = "gibson_sim"
+PATH_VARIABLE = "GIBSON_SIM_PATH"
+CACHE_VARIABLE = "GIBSON_SIM_CACHE"
+_CONFIG_SUFFIXES = ("", ".yaml", ".yml", ".param.yaml")
+
+
+def share_folders() -> tuple[Path, ...]:
+    """Returns the existing folders that may hold ``scenes/``, ``config/``, ``robots/`` and ``objects/``, the first one wins."""
+    candidates = [Path(entry).expanduser() for entry in os.environ.get(PATH_VARIABLE, "").split(":") if entry]
+    candidates += [Path(entry) / "share" / PACKAGE for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if entry]
+    candidates.append(Path(sys.prefix) / "share" / PACKAGE)
+    candidates += [p for p in Path(__file__).resolve().parents if (p / "config").is_dir() and (p / "scenes").is_dir()]
+    found: list[Path] = []
+    for folder in candidates:
+        # The package itself holds a Python package `scenes`: it has no `config` beside it, but be sure.
+        if folder.is_dir() and not (folder / "__init__.py").exists() and folder not in found:
+            found.append(folder)
+    return tuple(found)
+
+
+def find_scene(name_or_path: str | Path) -> Path:
+    """Returns the folder or the file of a scene.
+
+    Args:
+        name_or_path: a folder, a world or mesh file, or the name of a folder under ``scenes/`` of a share folder. Folders of
+            ``$GIBSON_SIM_PATH`` may also hold scenes directly.
+
+    Raises:
+        SceneNotFoundError: there is no such scene; says where it was looked for and names the nearest known one.
+    """
+    return _find(name_or_path, _folders("scenes"), ("",), SceneNotFoundError, "scene")
+
+
+def find_config(name_or_path: str | Path, kind: str = "") -> Path:
+    """Returns a configuration file.
+
+    Args:
+        name_or_path: a file, or the name of one, with or without ``.yaml``, under ``config/<kind>`` of a share folder.
+        kind: subfolder of ``config``, such as ``presets``; empty = ``config`` itself.
+
+    Raises:
+        ConfigError: there is no such file; says where it was looked for and names the nearest known one.
+    """
+    folders = tuple(share / "config" / kind for share in share_folders())
+    path = _find(
+        name_or_path, folders, _CONFIG_SUFFIXES, ConfigError, f"configuration of kind {kind!r}" if kind else "configuration"
+    )
+    if not path.is_file():
+        raise ConfigError(f"configuration {str(name_or_path)!r}: {path} is not a file")
+    return path
+
+
+def find_robot(name_or_path: str | Path) -> Path:
+    """Returns the folder or file of a robot: a path, or a name under ``robots/`` or ``config/robots/`` of a share folder.
+
+    Raises:
+        RobotError: there is no such robot; says where it was looked for and names the nearest known one.
+    """
+    folders = (*_folders("robots"), *(share / "config" / "robots" for share in share_folders()))
+    return _find(name_or_path, folders, _CONFIG_SUFFIXES, RobotError, "robot")
+
+
+def find_asset(kind: str, name_or_path: str | Path) -> Path:
+    """Returns a folder or file under ``<kind>/`` (``robots``, ``objects``) of a share folder, or the path itself.
+
+    Raises:
+        ConfigError: there is no such thing; says where it was looked for and names the nearest known one.
+    """
+    return _find(name_or_path, _folders(kind), _CONFIG_SUFFIXES, ConfigError, kind.rstrip("s"))
+
+
+def known_scenes() -> dict[str, Path]:
+    """Returns the folder of every scene that can be named, by name."""
+    found: dict[str, Path] = {}
+    for folder in _folders("scenes"):
+        for entry in sorted(folder.iterdir()) if folder.is_dir() else ():
+            if (entry / "scene.yaml").is_file():
+                found.setdefault(entry.name, entry)
+    return found
+
+
+def cache_dir() -> Path:
+    """Returns the folder for files that can be made again, created if need be.
+
+    It is ``$GIBSON_SIM_CACHE``, else ``$XDG_CACHE_HOME/gibson_sim``, else ``~/.cache/gibson_sim``.
+
+    Raises:
+        ConfigError: it cannot be created or written.
+    """
+    explicit, xdg = os.environ.get(CACHE_VARIABLE), os.environ.get("XDG_CACHE_HOME")
+    folder = Path(explicit).expanduser() if explicit else Path(xdg or Path.home() / ".cache") / PACKAGE
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as e:
+        raise ConfigError(f"cache folder {folder} cannot be created: {e.strerror or e}; set {CACHE_VARIABLE} to another") from e
+    if not os.access(folder, os.W_OK):
+        raise ConfigError(f"cache folder {folder} cannot be written; set {CACHE_VARIABLE} to another")
+    return folder
+
+
+def _folders(kind: str) -> tuple[Path, ...]:
+    explicit = [Path(entry).expanduser() for entry in os.environ.get(PATH_VARIABLE, "").split(":") if entry]
+    return tuple(p for share in share_folders() for p in ((share / kind, share) if share in explicit else (share / kind,)))
+
+
+def _find(
+    name_or_path: str | Path, folders: Sequence[Path], suffixes: Sequence[str], error: type[GibsonSimError], what: str
+) -> Path:
+    text = str(name_or_path)
+    if not text.strip():
+        raise error(f"{what}: the name is empty; give a name or a path")
+    path = Path(text).expanduser()
+    # A bare name is a name first: a folder of that name in the current directory must not hide an installed scene.
+    is_path = path.is_absolute() or text.startswith(("./", "../", "~")) or text in (".", "..")
+    if is_path:
+        if path.exists():
+            return path.resolve()
+        raise error(f"{what} {text!r}: there is nothing at {path.resolve()}")
+    for folder in folders:
+        for suffix in suffixes or ("",):
+            candidate = folder / (text + suffix)
+            if candidate.exists() and candidate.resolve().is_relative_to(folder.resolve()):
+                return candidate.resolve()
+    if path.exists():
+        return path.resolve()
+    known = sorted(set(_names(folders)))
+    near = difflib.get_close_matches(text, known, n=1, cutoff=0.5)
+    looked = ", ".join([str(Path.cwd()), *map(str, folders)])
+    hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known[:20])}" if known else f"set {PATH_VARIABLE}"
+    raise error(f"{what} {text!r} is not found; {hint} (looked in {looked})")
+
+
+def _names(folders: Sequence[Path]) -> Iterator[str]:
+    for folder in folders:
+        for entry in folder.iterdir() if folder.is_dir() else ():
+            if not entry.name.startswith((".", "_")):
+                yield entry.name.split(".")[0] if entry.is_file() else entry.name

@@ -1,0 +1,73 @@
+"""The set-up, as far as it can be seen without setting anything up."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+
+@pytest.fixture
+def bootstrap(root: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location("bootstrap", root / "bootstrap.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_unsupported_python_is_refused_in_one_line(
+    bootstrap: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(bootstrap, "SUPPORTED", ((3, 0),))
+    monkeypatch.setattr(sys, "argv", ["bootstrap.py", "--venv", str(tmp_path / "venv")])
+    assert bootstrap.main() == 1
+    error = capsys.readouterr().err
+    assert error.startswith("error: Python is CPython 3.")
+    assert error.count("\n") == 1
+    assert "must be CPython 3.0; choose one with PYTHON=" in error
+
+
+def test_folder_that_is_not_ours_is_left_alone(bootstrap: ModuleType, tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("precious")
+    with pytest.raises(bootstrap.SetupError, match="was not made by this set-up"):
+        bootstrap.make_venv(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+
+
+def test_missing_parts_are_named_with_their_packages(bootstrap: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bootstrap, "missing_system_parts", lambda: ["a C++ compiler", "a driver for EGL"])
+    monkeypatch.setattr(bootstrap.os, "geteuid", lambda: 1000)
+    with pytest.raises(bootstrap.SetupError) as error:
+        bootstrap.check_system()
+    assert str(error.value) == (
+        "this machine lacks a C++ compiler, a driver for EGL; "
+        "remedy: sudo apt-get install g++ libegl-mesa0 libgl1-mesa-dri (Debian, Ubuntu)"
+    )
+
+
+def test_headers_come_with_the_version_of_the_python(bootstrap: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bootstrap, "distribution_python", lambda: True)
+    version = f"{sys.version_info.major}.{sys.version_info.minor}"
+    assert bootstrap.debian_packages(["the headers of Python"]) == [f"python{version}-dev"]
+
+
+def test_step_is_redone_when_a_message_changes(bootstrap: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bootstrap, "ROOT", tmp_path)
+    (tmp_path / "A.msg").write_text("int32 a\n")
+    before = bootstrap.digest([tmp_path])
+    assert bootstrap.digest([tmp_path]) == before
+    (tmp_path / "A.msg").write_text("int64 a\n")
+    assert bootstrap.digest([tmp_path]) != before
+
+
+def test_another_ros_installation_stays_outside(bootstrap: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", "/opt/ros/jazzy/lib/python3.12/site-packages")
+    monkeypatch.setenv("_ROS_WHEELS_BOOTSTRAP_COMPLETE", "1")
+    env = bootstrap.clean_environment(Path("/venv"))
+    assert {"PYTHONPATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"} & set(env) == set()
+    assert env["PATH"].split(":")[0] == "/venv/bin"

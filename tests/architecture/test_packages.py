@@ -1,0 +1,78 @@
+"""What colcon, pip and the set-up make of the source tree."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+from support.simulation import require
+
+PACKAGE_XML = ("src/gibson_sim/package.xml", "src/gibson_msgs/package.xml")
+EXACT = re.compile(r"[a-z0-9-]+==[0-9][0-9.]*( ; python_version (<|>=) \"3\.\d+\")?")
+
+
+def _setup_py(root: Path) -> str:
+    return (root / "src" / "gibson_sim" / "setup.py").read_text()
+
+
+def _found(pattern: str, text: str) -> str:
+    match = re.search(pattern, text)
+    assert match is not None, pattern
+    return match.group(1)
+
+
+@pytest.mark.parametrize("file", PACKAGE_XML)
+def test_package_xml_has_the_version_of_the_python_package(root: Path, file: str) -> None:
+    version = _found(r'__version__ = "(.*)"', (root / "src/gibson_sim/gibson_sim/__init__.py").read_text())
+    assert ElementTree.parse(root / file).findtext("version") == version
+
+
+def test_setup_py_has_the_version_of_the_python_package(root: Path) -> None:
+    version = _found(r'__version__ = "(.*)"', (root / "src/gibson_sim/gibson_sim/__init__.py").read_text())
+    assert _found(r'version="(.*)"', _setup_py(root)) == version
+
+
+def test_colcon_sees_each_package_as_what_it_is(root: Path, tmp_path: Path) -> None:
+    require("colcon_core", "colcon_ros")
+    command = [sys.executable, "-m", "colcon", "--log-base", os.devnull, "list"]
+    env = {**os.environ, "COLCON_HOME": str(tmp_path)}
+    done = subprocess.run(command, cwd=root / "ros_ws", env=env, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == [
+        "gibson_msgs\tsrc/gibson_msgs\t(ros.ament_cmake)",
+        "gibson_sim\tsrc/gibson_sim\t(ros.ament_python)",
+        "simulation_interfaces\tsrc/compat/simulation_interfaces\t(ros.ament_cmake)",
+        "tf2_msgs\tsrc/compat/tf2_msgs\t(ros.ament_cmake)",
+    ]
+
+
+def test_links_are_relative_and_lead_somewhere(root: Path) -> None:
+    links = ["ros_ws/src/gibson_msgs", "ros_ws/src/gibson_sim", "src/gibson_sim/config", "src/gibson_sim/scenes"]
+    wrong = [link for link in links if os.path.isabs(os.readlink(root / link)) or not (root / link).is_dir()]
+    assert wrong == []
+
+
+def test_every_constraint_is_exact(root: Path) -> None:
+    lines = (root / "constraints.txt").read_text().splitlines()
+    assert [line for line in lines if line and not line.startswith("#") and not EXACT.fullmatch(line)] == []
+
+
+def test_everything_that_setup_py_needs_has_a_version(root: Path) -> None:
+    block = _found(r"(?s)install_requires=\[(.*?)\]", _setup_py(root))
+    needed = {name.lower() for name in re.findall(r'"(.*?)"', block)}
+    pinned = set(re.findall(r"(?m)^([a-z0-9-]+)==", (root / "constraints.txt").read_text()))
+    assert needed - pinned == set()
+
+
+def test_our_tf_message_is_the_one_that_other_programs_know(root: Path) -> None:
+    require("rosbags")
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    name = "tf2_msgs/msg/TFMessage"
+    ours = get_types_from_msg((root / "ros_ws/src/compat/tf2_msgs/msg/TFMessage.msg").read_text(), name)
+    assert ours == {name: get_typestore(Stores.ROS2_JAZZY).fielddefs[name]}

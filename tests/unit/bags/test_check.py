@@ -1,0 +1,182 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gibson_sim.bags.check import check_bag
+from gibson_sim.bags.writer import BagWriter, TopicQos
+from gibson_sim.errors import RecordError
+
+NS = 1_000_000_000
+TICK = 100_000_000
+ODOMETRY = "nav_msgs/msg/Odometry"
+
+
+@pytest.fixture
+def write_odometry(messages: Any, tmp_path: Path) -> Callable[..., Path]:
+    """Returns a function that writes wheel odometry and ground truth, each a list of (tick, x, y, yaw)."""
+
+    def write(wheels: list[tuple[int, float, float, float]], truth: list[tuple[int, float, float, float]]) -> Path:
+        with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
+            for topic, poses in (("/odom", wheels), ("/ground_truth/odom", truth)):
+                bag.add_topic(topic, ODOMETRY)
+                for tick, x, y, yaw in poses:
+                    bag.write(topic, messages.odometry(tick * TICK, x, y, yaw), 0, 0)
+        return tmp_path / "bag"
+
+    return write
+
+
+def test_whole_drive_has_no_problems(write_drive: Callable[..., Path]) -> None:
+    report = check_bag(write_drive())
+    assert (report.ok, report.problems, report.notes) == (True, (), ())
+
+
+def test_rate_comes_from_the_stamps(write_drive: Callable[..., Path]) -> None:
+    topics = {t.info.name: t for t in check_bag(write_drive()).topics}
+    image = topics["/camera/image_raw"]
+    assert image.rate_hz == pytest.approx(10.0)
+    assert (image.first_ns, image.last_ns, image.missing) == (NS, 2 * NS, 0)
+
+
+def test_images_between_ticks_are_a_problem(write_drive: Callable[..., Path]) -> None:
+    report = check_bag(write_drive(image_shift_ns=1))
+    assert not report.ok
+    # The last of the 11 lies behind the last odometry message.
+    assert "/camera/image_raw: 10 of 11 stamps are not in /odom, first 1.000000001 s" in report.problems
+
+
+def test_image_without_its_camera_info_is_a_problem(messages: Any, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
+        bag.add_topic("/camera/image_raw", "sensor_msgs/msg/Image")
+        bag.add_topic("/camera/camera_info", "sensor_msgs/msg/CameraInfo")
+        for i in range(4):
+            bag.write("/camera/image_raw", messages.image(i * TICK, np.zeros((2, 2, 3), np.uint8), "rgb8"), i, i)
+            if i != 2:
+                bag.write("/camera/camera_info", messages.camera_info(i * TICK), i, i)
+    assert check_bag(tmp_path / "bag").problems == (
+        "/camera/image_raw: 1 of 4 stamps are not in /camera/camera_info, first 0.200000000 s",
+    )
+
+
+def test_missing_images_are_counted_and_noted(write_drive: Callable[..., Path]) -> None:
+    report = check_bag(write_drive(skip_images=(3, 4, 7)))
+    assert report.ok
+    assert "/camera/image_raw: 3 messages are missing" in report.notes
+
+
+def test_stamp_that_does_not_rise_is_a_problem(write_odometry: Callable[..., Path]) -> None:
+    report = check_bag(write_odometry([(1, 0, 0, 0), (2, 0, 0, 0), (2, 0, 0, 0), (3, 0, 0, 0)], []))
+    assert report.problems == ("/odom: 1 stamps do not rise, first 0.200000000 s is followed by 0.200000000 s",)
+
+
+def test_transforms_of_two_senders_on_one_topic_are_no_problem(messages: Any, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
+        bag.add_topic("/tf", "tf2_msgs/msg/TFMessage")
+        for i in range(3):
+            bag.write("/tf", messages.transform((i + 5) * TICK, "odom"), i, i)  # dated ahead, as AMCL does
+            bag.write("/tf", messages.transform(i * TICK, "base_footprint"), i, i)
+    assert check_bag(tmp_path / "bag").ok
+
+
+def test_transform_that_repeats_its_stamp_is_a_problem(messages: Any, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
+        bag.add_topic("/tf", "tf2_msgs/msg/TFMessage")
+        for i in (1, 2, 2):
+            bag.write("/tf", messages.transform(i * TICK, "base_footprint"), i, i)
+    (problem,) = check_bag(tmp_path / "bag").problems
+    assert problem.startswith("/tf to base_footprint: 1 stamps")
+
+
+def test_latched_topic_may_repeat_its_stamp(messages: Any, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
+        bag.add_topic("/odom", ODOMETRY, TopicQos.latched())
+        for i in range(2):
+            bag.write("/odom", messages.odometry(0, 0.0, 0.0), i, i)
+    assert check_bag(tmp_path / "bag").ok
+
+
+def test_images_before_the_first_odometry_are_a_note(messages: Any, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
+        bag.add_topic("/camera/image_raw", "sensor_msgs/msg/Image")
+        bag.add_topic("/odom", ODOMETRY)
+        for i in range(4):
+            if i:
+                bag.write("/odom", messages.odometry(i * TICK, 0.0, 0.0), i, i)
+            bag.write("/camera/image_raw", messages.image(i * TICK, np.zeros((2, 2, 3), np.uint8), "rgb8"), i, i)
+    report = check_bag(tmp_path / "bag")
+    assert report.ok
+    assert "/camera/image_raw: 1 images lie before the first or after the last message of /odom" in report.notes
+
+
+def test_odometry_of_another_robot_is_not_compared(messages: Any, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
+        bag.add_topic("/one/camera/image_raw", "sensor_msgs/msg/Image")
+        for robot, shift in (("one", 0), ("two", 1)):
+            bag.add_topic(f"/{robot}/odom", ODOMETRY)
+            for i in range(3):
+                bag.write(f"/{robot}/odom", messages.odometry(i * TICK + shift, 0.0, 0.0), 0, 0)
+        for i in range(3):
+            bag.write("/one/camera/image_raw", messages.image(i * TICK, np.zeros((2, 2, 3), np.uint8), "rgb8"), 0, 0)
+    assert check_bag(tmp_path / "bag").ok
+
+
+def test_odometry_is_compared_from_the_start_of_each_frame(write_odometry: Callable[..., Path]) -> None:
+    """Truth drives 2 m north of (5, 5), heading north; the wheels tell 2.1 m along their own x and end 0.2 m to the left."""
+    north = np.pi / 2
+    folder = write_odometry(
+        [(0, 0, 0, 0), (1, 1.0, 0, 0), (2, 2.1, 0.2, 0.1)],
+        [(0, 5, 5, north), (1, 5, 6, north), (2, 5, 7, north)],
+    )
+    odometry = check_bag(folder).odometry
+    assert odometry is not None
+    assert odometry.distance_m == pytest.approx(2.0)
+    assert odometry.odometry_distance_m == pytest.approx(1.0 + np.hypot(1.1, 0.2))
+    assert odometry.end_error_m == pytest.approx(np.hypot(0.1, 0.2))
+    assert odometry.end_error_percent == pytest.approx(50 * np.hypot(0.1, 0.2))
+    assert odometry.end_error_deg == pytest.approx(np.degrees(0.1))
+
+
+def test_odometry_is_compared_at_common_stamps_only(write_odometry: Callable[..., Path]) -> None:
+    """The wheels started one tick before the recording of the truth and end one after it."""
+    folder = write_odometry([(i, float(i), 0, 0) for i in range(6)], [(i, i - 1.0, 0, 0) for i in range(1, 5)])
+    odometry = check_bag(folder).odometry
+    assert odometry is not None
+    assert (odometry.distance_m, odometry.end_error_m) == (pytest.approx(3.0), pytest.approx(0.0))
+
+
+def test_heading_error_does_not_jump_at_half_a_turn(write_odometry: Callable[..., Path]) -> None:
+    folder = write_odometry([(0, 0, 0, 0), (1, 1, 0, 3.13)], [(0, 0, 0, 0), (1, 1, 0, -3.13)])
+    odometry = check_bag(folder).odometry
+    assert odometry is not None
+    assert odometry.end_error_deg == pytest.approx(np.degrees(2 * np.pi - 6.26))
+
+
+def test_robot_that_stands_still_has_no_per_cent(write_odometry: Callable[..., Path]) -> None:
+    folder = write_odometry([(0, 0, 0, 0), (1, 0, 0, 0)], [(0, 0, 0, 0), (1, 0, 0, 0)])
+    odometry = check_bag(folder).odometry
+    assert odometry is not None
+    assert odometry.end_error_percent == 0.0
+
+
+def test_text_names_problem_and_odometry(write_drive: Callable[..., Path]) -> None:
+    text = check_bag(write_drive(image_shift_ns=1)).text()
+    assert "PROBLEM: /camera/image_raw" in text
+    assert "odometry: 1.000 m driven" in text
+
+
+def test_markdown_has_one_row_a_topic(write_drive: Callable[..., Path]) -> None:
+    report = check_bag(write_drive())
+    rows = [line for line in report.markdown().splitlines() if line.startswith("| /")]
+    assert len(rows) == len(report.topics)
+    assert "| /camera/image_raw | 11 | 10.00 | 0 | 1.000 | 2.000 |" in rows
+
+
+def test_empty_bag_is_an_error(tmp_path: Path) -> None:
+    BagWriter(tmp_path / "bag", reserve_bytes=0).close()
+    with pytest.raises(RecordError, match="no messages"):
+        check_bag(tmp_path / "bag")

@@ -1,0 +1,162 @@
+"""A disk that runs full, for real where this machine allows it: a small tmpfs (root only), a limit on the file size elsewhere."""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+import warnings
+from collections import namedtuple
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+import gibson_sim.bags.writer as writer_module
+from gibson_sim.bags.writer import EMERGENCY_BYTES, MIB, BagWriter, DiskFullError
+from gibson_sim.errors import RecordError
+
+STRING = "std_msgs/msg/String"
+Usage = namedtuple("Usage", "total used free")
+
+
+def _count(folder: Path) -> int:
+    """Returns how many messages rosbags reads, having compared that with what the metadata says."""
+    with AnyReader([folder]) as reader:
+        count = sum(1 for _ in reader.messages())
+        assert count == reader.message_count
+    (file,) = folder.glob("*.mcap")
+    with file.open("rb") as stream:
+        assert sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages()) == count
+    return count
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 24 MiB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=24m", "tmpfs", str(folder)]
+    if os.geteuid() != 0 or subprocess.run(command, capture_output=True, check=False).returncode:
+        message = "SKIPPED: a small disk cannot be mounted here (needs root); the file size limit is tested instead"
+        warnings.warn(message, stacklevel=2)
+        pytest.skip(message)
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+def _fill(bag: BagWriter, data: bytes) -> int:
+    """Writes until the disk is full; returns how many messages were taken."""
+    bag.add_topic("/a", STRING)
+    with pytest.raises(DiskFullError, match="make room"):
+        _write(bag, data, 1000)
+    return bag.message_count
+
+
+def _write(bag: BagWriter, data: bytes, count: int) -> None:
+    for i in range(count):
+        bag.write("/a", data, i, i)
+
+
+def _fill_with_another_file(path: Path) -> None:
+    with path.open("wb", buffering=0) as file:
+        while file.write(b"x" * 4096):
+            pass
+
+
+@pytest.mark.parametrize("size", [900_000, 3_000_000])
+def test_full_disk_loses_no_message_that_was_taken(small_disk: Path, messages: Any, size: int) -> None:
+    data = messages.text("x" * size)
+    taken = _fill(BagWriter(small_disk / "bag", reserve_bytes=0), data)
+    assert _count(small_disk / "bag") == taken >= 14 * MIB // len(data)
+
+
+def test_disk_that_another_program_filled_loses_no_message_that_was_taken(small_disk: Path, messages: Any) -> None:
+    bag = BagWriter(small_disk / "bag", reserve_bytes=0)
+    bag.add_topic("/a", STRING)
+    with pytest.raises(OSError, match="No space"):
+        _fill_with_another_file(small_disk / "other")
+    # Free space is asked for at every MiB, but 0 bytes are not less than a reserve of 0: the real error comes.
+    taken = _fill(bag, messages.text("x" * 5000))
+    assert _count(small_disk / "bag") == taken > MIB // 5100
+
+
+def test_reserve_is_left_free(small_disk: Path, messages: Any) -> None:
+    taken = _fill(BagWriter(small_disk / "bag", reserve_bytes=6 * MIB), messages.text("x" * 900_000))
+    free = os.statvfs(small_disk).f_bavail * os.statvfs(small_disk).f_frsize
+    # Having stopped with 4 to 6 MiB left, it also gave back the emergency file.
+    assert 4 * MIB + EMERGENCY_BYTES < free <= 6 * MIB + EMERGENCY_BYTES
+    assert _count(small_disk / "bag") == taken
+
+
+def test_bag_is_cut_back_to_its_last_whole_chunk_when_others_took_the_emergency_space(small_disk: Path, messages: Any) -> None:
+    bag = BagWriter(small_disk / "bag", reserve_bytes=0)
+    (small_disk / "bag/.reserve").unlink()
+    (small_disk / "other").write_bytes(b"x" * EMERGENCY_BYTES)
+    bag.add_topic("/a", STRING)
+    with pytest.raises(DiskFullError, match="all readable"):
+        _write(bag, messages.text("x" * 900_000), 100)
+    # 24 - 8 MiB take 18 messages of 0.9 MB; they come in chunks of two.
+    assert _count(small_disk / "bag") == 18
+
+
+def test_full_disk_at_the_start_is_refused_with_the_numbers(small_disk: Path) -> None:
+    with pytest.raises(DiskFullError, match=r"24 MiB left, recording needs more than 136 MiB: make room"):
+        BagWriter(small_disk / "bag")
+
+
+def test_recording_ends_when_free_space_falls_below_the_reserve(
+    tmp_path: Path, messages: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = iter([100 * MIB, 100 * MIB, 31 * MIB, 29 * MIB])
+    monkeypatch.setattr(writer_module.shutil, "disk_usage", lambda _: Usage(0, 0, next(free)))
+    bag = BagWriter(tmp_path / "bag", reserve_bytes=30 * MIB)
+    # Space is asked for at each message, since each is longer than 1 MiB: the third one is not taken.
+    assert _fill(bag, messages.text("x" * 1_100_000)) == 2
+    assert _count(tmp_path / "bag") == 2
+
+
+def test_bag_that_was_closed_by_a_full_disk_takes_no_more(tmp_path: Path, messages: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    bag = BagWriter(tmp_path / "bag", reserve_bytes=0)
+    bag.add_topic("/a", STRING)
+    monkeypatch.setattr(writer_module.shutil, "disk_usage", lambda _: Usage(0, 0, -1))
+    with pytest.raises(DiskFullError):
+        bag.write("/a", messages.text("x" * 1_100_000), 0, 0)
+    with pytest.raises(RecordError, match="closed"):
+        bag.write("/a", messages.text("x"), 0, 0)
+
+
+LIMITED = """
+import resource, sys
+from gibson_sim.bags.writer import BagWriter, DiskFullError
+limit = int(sys.argv[2])
+resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+bag = BagWriter(sys.argv[1], reserve_bytes=0)
+bag.add_topic("/a", "std_msgs/msg/String")
+text = b"x" * int(sys.argv[3])
+data = b"\\0\\1\\0\\0" + (len(text) + 1).to_bytes(4, "little") + text + b"\\0"
+try:
+    for i in range(100):
+        bag.write("/a", data, i, i)
+except DiskFullError as error:
+    print(error)
+    sys.exit(7)
+"""
+
+
+@pytest.mark.parametrize("limit", [9_000_000, 9_001_500, 9_450_000, 9_905_000])
+def test_limit_on_the_file_size_leaves_a_whole_bag(tmp_path: Path, root: Path, limit: int) -> None:
+    """As on a FAT disk: no space that is freed elsewhere helps, so chunks must make room for the index."""
+    assert resource.getrlimit(resource.RLIMIT_FSIZE)[1] == resource.RLIM_INFINITY
+    command = [sys.executable, "-c", LIMITED, str(tmp_path / "bag"), str(limit), "900000"]
+    environment = {**os.environ, "PYTHONPATH": str(root / "src/gibson_sim")}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 7, done.stderr
+    assert "File too large" in done.stdout
+    assert (tmp_path / "bag/bag_0.mcap").stat().st_size <= limit
+    # Chunks of two messages: as many as fit with an index behind them.
+    assert _count(tmp_path / "bag") == (10 if limit >= 9_005_000 else 8)
