@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import subprocess
@@ -14,6 +15,8 @@ import pytest
 from support.simulation import require
 
 PACKAGE_XML = ("src/gibson_sim/package.xml", "src/gibson_msgs/package.xml")
+PACKAGE_OF = {"cv2": "opencv-python-headless", "yaml": "PyYAML", "PIL": "pillow", "collada": "pycollada"}
+ROS_MODULES = {"rclpy", "ament_index_python", "launch", "launch_ros", "rpyutils"}
 EXACT = re.compile(r"[a-z0-9-]+==[0-9][0-9.]*( ; python_version (<|>=) \"3\.\d+\")?")
 
 
@@ -67,6 +70,20 @@ def test_everything_that_setup_py_needs_has_a_version(root: Path) -> None:
     needed = {name.lower() for name in re.findall(r'"(.*?)"', block)}
     pinned = set(re.findall(r"(?m)^([a-z0-9-]+)==", (root / "constraints.txt").read_text()))
     assert needed - pinned == set()
+
+
+def test_everything_that_the_code_imports_is_needed_by_setup_py(root: Path) -> None:
+    imported: set[str] = set()
+    for file in (root / "src/gibson_sim/gibson_sim").rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                imported.add(str(node.module).partition(".")[0])
+    ros = {name for name in imported if name.endswith(("_msgs", "_interfaces", "_srvs")) or name in ROS_MODULES}
+    foreign = imported - ros - set(sys.stdlib_module_names) - {"gibson_sim"}
+    block = _found(r"(?s)install_requires=\[(.*?)\]", _setup_py(root))
+    assert {PACKAGE_OF.get(name, name) for name in foreign} - set(re.findall(r'"(.*?)"', block)) == set()
 
 
 def test_our_tf_message_is_the_one_that_other_programs_know(root: Path) -> None:

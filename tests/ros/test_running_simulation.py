@@ -46,12 +46,12 @@ def test_standard_client_drives_one_metre_within_two_centimetres(sim: Launched, 
     truth = listener.collect(Odometry, "ground_truth/odom")
     listener.spin_until(lambda: bool(truth), "ground truth")
     before = truth[-1].pose.pose.position
-    client = subprocess.Popen([sys.executable, str(CLIENT), kind, "0.5"], stdout=subprocess.PIPE, text=True)
+    client = subprocess.Popen([sys.executable, str(CLIENT), kind, "1.0"], stdout=subprocess.PIPE, text=True)
     listener.spin_until(lambda: client.poll() is not None, "end of the client")
     after = truth[-1].pose.pose.position
     said = float(client.communicate()[0])
-    assert math.hypot(after.x - before.x, after.y - before.y) == pytest.approx(0.5, abs=0.01)
-    assert said == pytest.approx(0.5, abs=0.01)
+    assert math.hypot(after.x - before.x, after.y - before.y) == pytest.approx(1.0, abs=0.02)
+    assert said == pytest.approx(1.0, abs=0.02)
 
 
 def test_images_carry_the_stamp_of_an_odometry_and_of_their_camera_info(sim: Launched, listener: Listener) -> None:
@@ -59,11 +59,12 @@ def test_images_carry_the_stamp_of_an_odometry_and_of_their_camera_info(sim: Lau
     depth = listener.collect(Image, "camera/depth/image_raw")
     info = listener.collect(CameraInfo, "camera/camera_info")
     odometry = listener.collect(Odometry, "odom", 50)
-    listener.spin_until(lambda: min(map(len, (rgb, depth, info))) >= 8, "eight images")
-    known = set(_stamps(odometry))
-    images = [s for s in _stamps(rgb) if s >= min(known)]
-    assert len(images) >= 6
-    assert set(images[:-1]) <= known
+
+    def images() -> list[int]:
+        return [s for s in _stamps(rgb) if odometry and s >= _stamps(odometry)[0]]
+
+    listener.spin_until(lambda: len(images()) >= 8 and min(map(len, (depth, info))) >= 8, "eight images")
+    assert set(images()[:-1]) <= set(_stamps(odometry))
     assert set(_stamps(rgb)[1:-1]) <= set(_stamps(info))
     assert set(_stamps(rgb)[1:-1]) <= set(_stamps(depth))
     assert all(a < b for a, b in zip(_stamps(rgb), _stamps(rgb)[1:], strict=False))
@@ -115,8 +116,13 @@ def test_command_that_is_not_a_number_is_refused_and_the_robot_stays(
     lines = len(sim.lines)
     message = message_type()
     (message.twist if message_type is TwistStamped else message).linear.x = bad
-    publisher.publish(message)
-    sim.wait_for_line("holds a NaN or an infinity; it is ignored", after=lines)
+
+    def refused() -> bool:
+        # Again and again: the first may be lost while the peers still match, and the warning comes once a second.
+        publisher.publish(message)
+        return any("holds a NaN or an infinity; it is ignored" in line for line in sim.lines[lines:])
+
+    listener.spin_until(refused, "a warning")
     before, count = odometry[-1].pose.pose.position, len(odometry)
     listener.spin_until(lambda: len(odometry) > count + 20, "twenty odometries more")
     after = odometry[-1].pose.pose.position
@@ -129,8 +135,12 @@ def test_robot_stops_when_commands_cease(sim: Launched, listener: Listener) -> N
     listener.spin_until(lambda: publisher.get_subscription_count() > 0, "a simulation that listens")
     turn = Twist()
     turn.angular.z = 0.5
-    publisher.publish(turn)
-    listener.spin_until(lambda: bool(odometry) and odometry[-1].twist.twist.angular.z > 0.4, "a turning robot")
+
+    def turning() -> bool:
+        publisher.publish(turn)
+        return bool(odometry) and odometry[-1].twist.twist.angular.z > 0.4
+
+    listener.spin_until(turning, "a turning robot")
     started = _stamps(odometry)[-1]
     listener.spin_until(lambda: abs(odometry[-1].twist.twist.angular.z) < 0.01, "a robot at rest")
     # 0.5 s until the command is stale, then 0.5 rad/s at 4 rad/s^2 in an eighth of a second; a little for settling.

@@ -36,6 +36,11 @@ def test_own_messages_are_found_in_the_source_tree() -> None:
     assert "float64 fov_y" in text
 
 
+def test_type_that_two_others_hold_is_written_once() -> None:
+    """Visual and Camera both hold a Pose."""
+    assert MessageDefinitions().full_text("gibson_msgs/msg/Scene").count("MSG: geometry_msgs/Pose\n") == 1
+
+
 def test_given_definition_wins_over_installed_one() -> None:
     text = MessageDefinitions({"std_msgs/String": "string other"}).full_text("std_msgs/msg/String")
     assert text == "string other\n"

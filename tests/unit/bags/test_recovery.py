@@ -118,7 +118,7 @@ def test_zeros_behind_the_data_are_cut_off(bag: Path) -> None:
     file = bag / "bag_0.mcap"
     content = file.read_bytes()[: _chunk_ends(file)[4]]
     file.write_bytes(content + bytes(5000))
-    repair(bag)
+    assert repair(bag).cut_bytes == 5000
     assert _read(bag) == WHOLE[:10]
 
 

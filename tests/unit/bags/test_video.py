@@ -56,9 +56,8 @@ def _is(frame: np.ndarray, rgb: tuple[int, int, int]) -> bool:
     return bool(np.abs(frame[24, 32, ::-1].astype(int) - rgb).max() < 40)
 
 
-@pytest.mark.parametrize("codec", ["", "vp09", "mp4v"])
-def test_video_decodes_to_the_frames_of_the_bag(write_images: Callable[..., Path], tmp_path: Path, codec: str) -> None:
-    path = write_video(write_images({0: RED, 1: GREEN, 2: BLUE, 3: RED}), tmp_path / "a.mp4", codec=codec)
+def test_video_decodes_to_the_frames_of_the_bag(write_images: Callable[..., Path], tmp_path: Path) -> None:
+    path = write_video(write_images({0: RED, 1: GREEN, 2: BLUE, 3: RED}), tmp_path / "a.mp4")
     frames, fps = _frames(path)
     assert fps == pytest.approx(10.0)
     assert [_is(f, c) for f, c in zip(frames, (RED, GREEN, BLUE, RED), strict=True)] == [True] * 4
@@ -84,38 +83,38 @@ def test_depth_is_paired_by_stamp_also_if_it_comes_later(messages: Any, tmp_path
         for i in range(3):
             depth = np.full((48, 64), 0.5 if i == 1 else np.nan, np.float32)
             bag.write("/camera/depth/image_raw", messages.image(i * TICK, depth, "32FC1"), 1, 1)
-    frames, _ = _frames(write_video(tmp_path / "bag", tmp_path / "a.mp4", codec="mp4v"))
+    frames, _ = _frames(write_video(tmp_path / "bag", tmp_path / "a.mp4"))
     assert [int(f[24, 96].max()) > 100 for f in frames] == [False, True, False]
 
 
 def test_lost_depth_image_is_black_and_holds_nothing_up(write_images: Callable[..., Path], tmp_path: Path) -> None:
     folder = write_images(dict.fromkeys(range(4), RED), {0: 1.0, 1: 1.0, 3: 1.0})
-    frames, _ = _frames(write_video(folder, tmp_path / "a.mp4", codec="mp4v"))
+    frames, _ = _frames(write_video(folder, tmp_path / "a.mp4"))
     assert [int(f[24, 96].max()) > 100 for f in frames] == [True, True, False, True]
 
 
 def test_lost_frames_keep_the_time(write_images: Callable[..., Path], tmp_path: Path) -> None:
     """Two of seven frames are lost: the frames beside the gap are shown longer."""
     folder = write_images({0: RED, 1: RED, 2: GREEN, 5: BLUE, 6: BLUE})
-    frames, fps = _frames(write_video(folder, tmp_path / "a.mp4", codec="mp4v"))
+    frames, fps = _frames(write_video(folder, tmp_path / "a.mp4"))
     assert fps == pytest.approx(10.0)
     assert [_is(f, GREEN) for f in frames] == [False, False, True, True, False, False, False]
 
 
 def test_twice_the_speed_takes_half_the_time(write_images: Callable[..., Path], tmp_path: Path) -> None:
     folder = write_images(dict.fromkeys(range(21), RED))
-    frames, fps = _frames(write_video(folder, tmp_path / "a.mp4", speed=2.0, codec="mp4v"))
+    frames, fps = _frames(write_video(folder, tmp_path / "a.mp4", speed=2.0))
     assert (len(frames), fps) == (21, pytest.approx(20.0))
 
 
 def test_given_rate_leaves_frames_out(write_images: Callable[..., Path], tmp_path: Path) -> None:
     folder = write_images(dict.fromkeys(range(21), RED))
-    frames, fps = _frames(write_video(folder, tmp_path / "a.mp4", fps=5.0, codec="mp4v"))
+    frames, fps = _frames(write_video(folder, tmp_path / "a.mp4", fps=5.0))
     assert (len(frames), fps) == (11, pytest.approx(5.0))
 
 
 def test_single_image_makes_a_video_of_one_frame(write_images: Callable[..., Path], tmp_path: Path) -> None:
-    frames, _ = _frames(write_video(write_images({3: BLUE}), tmp_path / "a.mp4", codec="mp4v"))
+    frames, _ = _frames(write_video(write_images({3: BLUE}), tmp_path / "a.mp4"))
     assert len(frames) == 1
 
 
@@ -123,7 +122,7 @@ def test_odd_sizes_are_padded(messages: Any, tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
         bag.add_topic("/image", "sensor_msgs/msg/Image")
         bag.write("/image", messages.image(0, np.full((33, 51, 3), 128, np.uint8), "bgr8"), 0, 0)
-    frames, _ = _frames(write_video(tmp_path / "bag", tmp_path / "a.mp4", codec="mp4v"))
+    frames, _ = _frames(write_video(tmp_path / "bag", tmp_path / "a.mp4"))
     assert frames[0].shape == (34, 52, 3)
 
 
@@ -138,9 +137,13 @@ def test_bag_without_images_is_an_error(messages: Any, tmp_path: Path) -> None:
         write_video(tmp_path / "bag", tmp_path / "a.mp4", topics=["/odom"])
 
 
-def test_unknown_codec_is_an_error(write_images: Callable[..., Path], tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match="must be one of avc1, vp09, mp4v"):
-        write_video(write_images({0: RED}), tmp_path / "a.mp4", codec="xvid")
+def test_video_is_h264_which_browsers_play(write_images: Callable[..., Path], tmp_path: Path) -> None:
+    assert _codec(write_video(write_images({0: RED, 1: BLUE}), tmp_path / "a.mp4")) in ("avc1", "h264", "H264")
+
+
+def _codec(path: Path) -> str:
+    code = int(cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FOURCC))
+    return code.to_bytes(4, "little").decode()
 
 
 def test_missing_folder_is_an_error(write_images: Callable[..., Path], tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer as RosbagsWriter
 
+import gibson_sim.bags.writer as writer_module
 from gibson_sim.bags.writer import BagWriter, TopicQos
 from gibson_sim.errors import RecordError
 
@@ -188,6 +189,39 @@ def test_memoryview_is_accepted(tmp_path: Path, messages: Any) -> None:
         bag.write("/a", memoryview(messages.text("x")), 1, 1)
     with AnyReader([tmp_path / "bag"]) as reader:
         assert [bytes(raw) for _, _, raw in reader.messages()] == [messages.text("x")]
+
+
+@pytest.mark.parametrize("call", range(2, 16))
+def test_interrupt_in_the_middle_of_a_write_leaves_a_bag_of_whole_chunks(
+    tmp_path: Path, messages: Any, monkeypatch: pytest.MonkeyPatch, call: int
+) -> None:
+    """Ctrl-C raises KeyboardInterrupt anywhere: here when half of the bytes have reached the disk."""
+    write, calls = writer_module._Sink.write, iter(range(100))
+
+    def interrupted(sink: Any, data: bytes) -> int:
+        if next(calls) == call:
+            write(sink, data[: len(data) // 2])
+            raise KeyboardInterrupt
+        return write(sink, data)
+
+    monkeypatch.setattr(writer_module._Sink, "write", interrupted)
+    bag = BagWriter(tmp_path / "bag", reserve_bytes=0, chunk_bytes=2500)
+    bag.add_topic("/a", STRING)
+    with pytest.raises(KeyboardInterrupt):
+        _write_ten(bag, messages)
+    bag.close()
+    with AnyReader([tmp_path / "bag"]) as reader:
+        times = [t for _, t, _ in reader.messages()]
+    assert times == list(range(len(times)))
+    # At most the chunk in hand, of three messages, is lost.
+    assert bag.message_count - 3 <= len(times)
+    assert sorted(p.name for p in (tmp_path / "bag").iterdir()) == ["bag_0.mcap", "metadata.yaml"]
+
+
+def _write_ten(bag: BagWriter, messages: Any) -> None:
+    for i in range(10):
+        bag.write("/a", messages.text(f"{i:1000d}"), i, i)
+    bag.close()
 
 
 @pytest.mark.ros

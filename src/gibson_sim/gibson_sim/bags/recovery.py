@@ -11,7 +11,7 @@ import os
 import struct
 from collections import Counter
 from dataclasses import dataclass, field
-from io import BytesIO
+from io import BytesIO, FileIO
 from pathlib import Path
 from typing import BinaryIO
 
@@ -130,9 +130,11 @@ def rebuild(path: Path) -> Repair:
         OSError: the file cannot be written.
     """
     size = path.stat().st_size
-    with path.open("r+b") as file:
-        contents = _scan(file, size)
-        cut = size - contents.end
+    with path.open("rb") as source:
+        contents = _scan(source, size)
+    cut = size - contents.end
+    # Unbuffered: what could not be written must not be tried again with the next seek.
+    with path.open("r+b", buffering=0) as file:
         while True:
             try:
                 information = _finish(file, contents, path.name)
@@ -275,7 +277,7 @@ def _read_chunk(contents: _Contents, payload: bytes, position: int) -> _ChunkEnt
     return _ChunkEntry(index, messages, position + _RECORD.size + len(payload))
 
 
-def _finish(file: BinaryIO, contents: _Contents, file_name: str) -> dict[str, object]:
+def _finish(file: FileIO, contents: _Contents, file_name: str) -> dict[str, object]:
     """Cuts the file behind its last whole chunk and writes everything that follows; returns the bag's information."""
     file.seek(contents.end)
     file.truncate()
@@ -322,8 +324,9 @@ def _finish(file: BinaryIO, contents: _Contents, file_name: str) -> dict[str, ob
     # A checksum of 0 means: none.
     Footer(summary_start=summary_start, summary_offset_start=offset_start, summary_crc=0).write(builder)
     builder.write(MCAP0_MAGIC)
-    file.write(builder.end())  # type: ignore[no-untyped-call]
-    file.flush()
+    rest = memoryview(builder.end())  # type: ignore[no-untyped-call]
+    while rest:
+        rest = rest[file.write(rest) :]
     os.fsync(file.fileno())
     return information
 

@@ -127,6 +127,9 @@ class BagWriter:
         self._start_ns = self._end_ns = 0
         self._unchecked = 0
         self._closed = False
+        self._finished = False
+        # False while a write is under way: Ctrl-C may come in the middle of it, and what lies on the disk then ends anywhere.
+        self._whole = True
         self._path = self.folder / f"{self.folder.resolve().name}_0.mcap"
         self._emergency = self.folder / RESERVE_FILE
         self._make_folder()
@@ -164,6 +167,7 @@ class BagWriter:
             return
         text, type_hash = self._definitions.full_text(type_name), self._definitions.type_hash(type_name)
         profiles = [TopicQos.of(qos).as_dict()]
+        self._whole = False
         try:
             if type_name not in self._schemas:
                 self._schemas[type_name] = self._writer.register_schema(type_name, "ros2msg", text.encode())
@@ -171,6 +175,7 @@ class BagWriter:
             self._channels[topic] = self._writer.register_channel(topic, "cdr", self._schemas[type_name], extra)
         except OSError as error:
             self._rescue(error)
+        self._whole = True
         self._topics[topic] = TopicRecord(topic, type_name, profiles, type_hash, 0)
         self._counts[topic] = 0
 
@@ -200,11 +205,13 @@ class BagWriter:
         if not self.message_count:
             self._start_ns = log_time_ns
         self._end_ns = log_time_ns
+        self._whole = False
         try:
             self._writer.add_message(channel, log_time_ns, data, publish_time_ns)  # type: ignore[arg-type]
         except OSError as error:
             self._rescue(error)
         self._counts[topic] += 1
+        self._whole = True
         if self._sink.full:
             self.close()
             raise DiskFullError(self._full_text())
@@ -215,18 +222,18 @@ class BagWriter:
         Raises:
             RecordError: the end could not be written; the message says what is left to do.
         """
-        if self._closed:
+        if self._finished:
             return
-        self._closed = True
+        whole, self._closed = self._whole, True
         try:
-            self._writer.flush()  # type: ignore[no-untyped-call]
-            topics = [replace(topic, count=self._counts[name]) for name, topic in self._topics.items()]
-            information = bag_information(topics, self._path.name, self._start_ns, self._end_ns)
-            self._writer.add_metadata("rosbag2", {"serialized_metadata": dump_information(information)})
-            self._writer.finish()  # type: ignore[no-untyped-call]
-            self._sink.close()
-            self._emergency.unlink(missing_ok=True)
-            write_metadata(self.folder, information)
+            if whole:
+                self._whole = False
+                self._finish()
+            else:
+                self._sink.close()
+                self._emergency.unlink(missing_ok=True)
+                _log.warning("recording was interrupted in the middle of a write: %s", rebuild(self._path))
+            self._finished = True
         except OSError as error:
             self._rescue(error)
 
@@ -235,6 +242,17 @@ class BagWriter:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
         self.close()
+
+    def _finish(self) -> None:
+        """Writes everything that follows the messages."""
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        topics = [replace(topic, count=self._counts[name]) for name, topic in self._topics.items()]
+        information = bag_information(topics, self._path.name, self._start_ns, self._end_ns)
+        self._writer.add_metadata("rosbag2", {"serialized_metadata": dump_information(information)})
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._sink.close()
+        self._emergency.unlink(missing_ok=True)
+        write_metadata(self.folder, information)
 
     def _make_folder(self) -> None:
         """Makes the folder and the emergency file in it, and checks the free space."""
@@ -277,9 +295,9 @@ class BagWriter:
 
     def _rescue(self, error: OSError) -> NoReturn:
         """Cuts the file back to its last whole chunk and closes the bag, after a write that failed for good."""
-        self._closed = True
-        self._sink.close()
+        self._closed = self._finished = True
         try:
+            self._sink.close()
             self._emergency.unlink(missing_ok=True)
             result = rebuild(self._path)
         except (OSError, RecordError) as second:

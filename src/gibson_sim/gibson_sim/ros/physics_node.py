@@ -39,8 +39,8 @@ from gibson_sim.types import NS_PER_S, SceneState as State
 
 logger = logging.getLogger(__name__)
 WAIT_LIMIT_S = 120.0
-DISCOVERY_S = 0.7
-"""How long a new participant takes to hear of the others; loading a scene usually takes longer anyway."""
+DISCOVERY_S = 10.0
+"""Within so long a new participant has heard of all others, even on a busy machine (usually within 3 s)."""
 
 
 class PhysicsNode(Node):
@@ -70,11 +70,9 @@ class PhysicsNode(Node):
         super().__init__("physics", **kwargs)
         self._world: PhysicsWorld | None = None
         self._stamped: _StampedCommands | None = None
-        born = time.monotonic()
         self._config = config = config_from_parameters(self, PhysicsConfig)
         self._scene = scene = _scene_with_camera_rate(populate(config.scene, config.robot, config.start), config.camera_rate)
-        time.sleep(max(0.0, born + DISCOVERY_S - time.monotonic()))
-        self._refuse_second_simulation()
+        self._refuse_second_simulation(own=0)
         self._robot: RobotSpec = scene.robots[0]
         self._world = PhysicsWorld(scene, step_hz=config.step_hz, cmd_vel_timeout=config.cmd_vel_timeout)
         self._base_frame = self._robot.base_link
@@ -92,9 +90,9 @@ class PhysicsNode(Node):
             f"{self._robot.name} at {self._robot.start.position[0]:.2f},{self._robot.start.position[1]:.2f}"
         )
 
-    def _refuse_second_simulation(self) -> None:
-        """Two sources of /clock make time jump to and fro for everybody."""
-        if self.count_publishers(names.CLOCK):
+    def _refuse_second_simulation(self, own: int) -> None:
+        """Two sources of /clock make time jump to and fro for everybody: the younger one, with ``own`` publishers, gives way."""
+        if self.count_publishers(names.CLOCK) > own:
             raise AlreadyRunningError(
                 "another node publishes /clock in this ROS domain: stop that simulation, or choose another ROS_DOMAIN_ID"
             )
@@ -149,6 +147,12 @@ class PhysicsNode(Node):
         period = 1.0 / (self._config.clock_hz * self._config.rate) if self._config.rate else 1e-5
         self.create_timer(min(period, 0.01), tick, clock=steady)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
+        young_until = time.monotonic() + DISCOVERY_S
+        watch = self.create_timer(
+            0.2,
+            lambda: self._refuse_second_simulation(own=1) if time.monotonic() < young_until else watch.cancel(),
+            clock=steady,
+        )
         self._last_report = (time.monotonic_ns(), self.world.stamp_ns)
         try:
             while rclpy.ok() and not done:
