@@ -1,13 +1,14 @@
 """The flat that comes with this package: a hall with a living room, a kitchen, a bedroom and a bathroom off it.
 
-Metres, x to the east, y to the north, z up, the origin at the south-west corner of the inside. Walls are 0.12 m thick and stand on
-the lines that the plan names.
+Metres, x to the east, y to the north, z up, the origin at the south-west corner of the inside. Walls are 0.12 m thick and
+stand on the lines that the plan names.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -40,6 +41,7 @@ class Room:
     """planks or tiles."""
 
     def holds(self, x: float, y: float) -> bool:
+        """Returns whether a point is in the room."""
         return self.x0 <= x <= self.x1 and self.y0 <= y <= self.y1
 
 
@@ -63,6 +65,7 @@ class Opening:
 
     @property
     def is_window(self) -> bool:
+        """Whether it does not reach the floor."""
         return self.low > 0.0
 
 
@@ -81,6 +84,7 @@ class Wall:
     openings: tuple[Opening, ...] = ()
 
     def point(self, along: float, across: float, z: float) -> tuple[float, float, float]:
+        """Returns a point given along the wall, across it from its middle line, and upwards."""
         return (along, self.at + across, z) if self.along == "x" else (self.at + across, along, z)
 
 
@@ -224,10 +228,10 @@ def _wall_piece(
         {start, end, *(c for r in ROOMS for c in ((r.x0, r.x1) if wall.along == "x" else (r.y0, r.y1)) if start < c < end)}
     )
     for side in (-1.0, 1.0):
-        for a, b in zip(cuts, cuts[1:], strict=False):
+        for a, b in pairwise(cuts):
             x, y, _ = wall.point((a + b) / 2, side * (half + 0.05), 0.0)
             paint = next((paints[r.name] for r in ROOMS if r.holds(x, y)), outside)
-            # Seen from the side that it faces, a wall along x runs to the right for its south side and to the left for its north side.
+            # Seen from the side that it faces, a wall along x runs to the right on its south side, to the left on its north side.
             flip = (side > 0) == (wall.along == "x")
             p, q = (b, a) if flip else (a, b)
             corners = [wall.point(s, side * half, z) for s, z in ((p, low), (q, low), (q, high), (p, high))]

@@ -1,4 +1,4 @@
-"""Meshes in the making, and writing them as glTF 2.0 (binary, textures beside it). Built z up, written y up as the format wants."""
+"""Meshes in the making, and writing them as glTF 2.0 (binary, textures beside it). Built z up, written y up."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ def _image(values: Floats) -> Image:
 
 
 def noise(rng: np.random.Generator, height: int, width: int, cells: tuple[int, int], octaves: int = 4) -> Floats:
-    """Returns smooth noise, (height, width), mean about 0, most within -1 to 1; ``cells`` (down, across) of the coarsest octave."""
+    """Returns smooth noise, (height, width), about -1 to 1; ``cells`` (down, across) are those of the coarsest octave."""
     total = np.zeros((height, width))
     for octave in range(octaves):
         shape = (min(height, cells[0] << octave), min(width, cells[1] << octave))

@@ -1,0 +1,47 @@
+# Gibson Sim: every target sets up what it needs first. PYTHON and VENV choose another interpreter and another environment.
+PYTHON ?= python3
+VENV ?= .venv
+ARGS ?=
+PYTEST_ARGS ?=
+
+BIN := $(VENV)/bin
+CODE := bootstrap.py src/gibson_sim tests
+
+export FASTRTPS_DEFAULT_PROFILES_FILE ?= $(CURDIR)/config/fastdds.xml
+# What another ROS installation or environment put there does not belong into ours.
+unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONPATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+.PHONY: help setup run test lint format clean
+.DEFAULT_GOAL := help
+
+help:
+	@echo 'make setup              make the environment $(VENV); PYTHON=python3.12 chooses the interpreter (3.10 to 3.12)'
+	@echo 'make run ARGS="..."     set up, then gibson-sim run ...'
+	@echo 'make test               set up, then all tests; PYTEST_ARGS="-k name" chooses some'
+	@echo 'make lint               set up, then ruff, mypy and the import rules'
+	@echo 'make format             set up, then let ruff format the code'
+	@echo 'make clean              remove $(VENV) and everything that was built'
+
+setup:
+	@$(PYTHON) bootstrap.py --venv '$(VENV)'
+
+run: setup
+	@'$(BIN)/gibson-sim' run $(ARGS)
+
+test: setup
+	@'$(BIN)/python' -m pytest $(PYTEST_ARGS)
+
+lint: setup
+	@'$(BIN)/ruff' check $(CODE)
+	@'$(BIN)/ruff' format --check $(CODE)
+	@'$(BIN)/mypy'
+	@'$(BIN)/lint-imports'
+
+format: setup
+	@'$(BIN)/ruff' check --fix $(CODE)
+	@'$(BIN)/ruff' format $(CODE)
+
+clean:
+	rm -rf '$(VENV)' ros_ws/build ros_ws/install ros_ws/log src/gibson_sim/build src/gibson_sim/*.egg-info
+	rm -rf .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +

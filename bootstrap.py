@@ -1,0 +1,383 @@
+#!/usr/bin/env python3
+"""Makes the virtual environment in which Gibson Sim runs: ROS 2 Jazzy, PyBullet, the message packages and Gibson Sim itself.
+
+`make setup` calls this; only the standard library is used. Each step leaves a stamp in the environment that says what it was
+made from, so a second run finds nothing to do. What goes wrong is said in one line that begins with "error:".
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import fcntl
+import hashlib
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent
+CONSTRAINTS = ROOT / "constraints.txt"
+PROJECT = ROOT / "src" / "gibson_sim"
+INTERFACES = (ROOT / "src" / "gibson_msgs", ROOT / "ros_ws" / "src" / "compat")
+
+SUPPORTED = ((3, 10), (3, 11), (3, 12))
+BUILD_TOOLS = ("numpy", "packaging", "setuptools", "wheel")
+"""What pip needs to build the packages that come as sources. With NumPy there, PyBullet is built to work with it."""
+COMPILED_PYBULLET = (3, 12)
+"""From this Python on there is no binary package of PyBullet."""
+
+FOREIGN = (
+    "AMENT_PREFIX_PATH",
+    "CMAKE_PREFIX_PATH",
+    "COLCON_PREFIX_PATH",
+    "LD_LIBRARY_PATH",
+    "PYTHONHOME",
+    "PYTHONPATH",
+    "VIRTUAL_ENV",
+)
+"""Variables of another ROS installation or environment, which must not reach into ours."""
+PYTHON = getattr(sys, "_base_executable", None) or sys.executable
+"""The interpreter to build on: the one below, where this runs inside an environment."""
+BOOTSTRAPPED = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+"""Set in programs started by another environment of this kind: ours would then not find its libraries."""
+
+DEBIAN_PACKAGES = {
+    "the Python module venv": "python3-venv",
+    "the headers of Python": "python3-dev",
+    "a C++ compiler": "g++",
+    "the library libEGL.so.1": "libegl1",
+    "a driver for EGL": "libegl-mesa0 libgl1-mesa-dri",
+}
+"""What the machine must have, and the Debian and Ubuntu packages that bring it."""
+
+EGL_PROBE = r"""
+import ctypes, sys
+try:
+    egl = ctypes.CDLL("libEGL.so.1")
+except OSError:
+    sys.exit(2)
+egl.eglGetProcAddress.restype = ctypes.c_void_p
+def function(name, result, *arguments):
+    address = egl.eglGetProcAddress(name)
+    return ctypes.CFUNCTYPE(result, *arguments)(address) if address else None
+display = function(b"eglGetPlatformDisplayEXT", ctypes.c_void_p, ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p)
+devices = function(b"eglQueryDevicesEXT", ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
+initialize = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p)(("eglInitialize", egl))
+candidates = [(0x31DD, None)]
+if devices:
+    found, count = (ctypes.c_void_p * 64)(), ctypes.c_int()
+    devices(64, found, ctypes.byref(count))
+    candidates += [(0x313F, found[i]) for i in range(count.value)]
+sys.exit(0 if display and any(initialize(display(kind, native, None), None, None) for kind, native in candidates) else 3)
+"""
+"""Opens a display without a screen, as the renderer does. Exit code 2: no libEGL; 3: no driver for it."""
+
+
+class SetupError(Exception):
+    """What stops the set-up, in one line with the remedy."""
+
+
+def say(text: str) -> None:
+    """Prints a line at once, in order with what other programs print."""
+    print(f"gibson-sim setup: {text}", flush=True)
+
+
+def clean_environment(venv: Path) -> dict[str, str]:
+    """Returns the environment for programs of ``venv``: without what another installation has put there."""
+    env = {k: v for k, v in os.environ.items() if k not in FOREIGN and k != BOOTSTRAPPED}
+    env["PATH"] = f"{venv / 'bin'}{os.pathsep}{env.get('PATH', os.defpath)}"
+    env["PYTHONNOUSERSITE"] = "1"
+    return env
+
+
+def run(command: list[str], venv: Path, log: Path, extra: dict[str, str] | None = None) -> None:
+    """Runs a program with its output in ``log``; on failure shows the end of it."""
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with log.open("wb") as out:
+        code = subprocess.run(
+            command, cwd=ROOT, env={**clean_environment(venv), **(extra or {})}, stdout=out, stderr=subprocess.STDOUT, check=False
+        ).returncode
+    if code:
+        tail = log.read_text(errors="replace").splitlines()[-30:]
+        print("\n".join(tail), file=sys.stderr)
+        raise SetupError(f"{Path(command[0]).name} {' '.join(command[1:4])} ... ended with code {code}; all it said is in {log}")
+
+
+def missing_system_parts() -> list[str]:
+    """Returns the keys of ``DEBIAN_PACKAGES`` of what the machine lacks."""
+    venv, headers, compiler, egl, driver = DEBIAN_PACKAGES
+    missing = []
+    if subprocess.run([PYTHON, "-c", "import venv, ensurepip"], capture_output=True, check=False).returncode:
+        missing.append(venv)
+    if not (Path(sysconfig.get_path("include")) / "Python.h").is_file():
+        missing.append(headers)
+    if not (shutil.which("cc") and shutil.which("c++")):
+        missing.append(compiler)
+    probe = subprocess.run([PYTHON, "-c", EGL_PROBE], capture_output=True, check=False).returncode
+    if probe:
+        missing += [egl, driver] if probe == 2 else [driver]
+    return missing
+
+
+def distribution_python() -> bool:
+    """Returns whether the interpreter is a package of the distribution."""
+    return Path(PYTHON).resolve().is_relative_to("/usr/bin")
+
+
+def debian_packages(parts: Iterable[str]) -> list[str]:
+    """Returns the names of the Debian and Ubuntu packages that bring ``parts``; none for a Python that is not theirs."""
+    names = [name for part in parts for name in DEBIAN_PACKAGES[part].split()]
+    if not distribution_python():
+        return [name for name in names if not name.startswith("python3")]
+    return [name.replace("python3", f"python{sys.version_info.major}.{sys.version_info.minor}") for name in names]
+
+
+def check_system() -> None:
+    """Makes sure that compiler, headers and OpenGL are there; as root, installs what is not."""
+    missing = missing_system_parts()
+    packages = debian_packages(missing)
+    if packages and os.geteuid() == 0 and shutil.which("apt-get"):
+        say(f"installing system packages with apt-get: {' '.join(packages)}")
+        env = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
+        for command in (["update"], ["install", "-y", "--no-install-recommends", *packages]):
+            if subprocess.run(["apt-get", "-qq", *command], env=env, check=False).returncode:
+                say("apt-get failed, see above")
+                break
+        missing = missing_system_parts()
+        packages = debian_packages(missing)
+    if missing:
+        remedies = [f"sudo apt-get install {' '.join(packages)} (Debian, Ubuntu)"] if packages else []
+        if not distribution_python() and any("python3" in DEBIAN_PACKAGES[part] for part in missing):
+            remedies.append(f"another interpreter than {PYTHON}, with PYTHON=...")
+        raise SetupError(f"this machine lacks {', '.join(missing)}; remedy: {', and '.join(remedies)}")
+
+
+def digest(paths: Iterable[Path], *texts: str) -> str:
+    """Returns a hash of the names and content of all files in ``paths`` (folders: everything in them) and of ``texts``."""
+    h = hashlib.sha256(sys.version.encode())
+    for text in texts:
+        h.update(text.encode() + b"\0")
+    for path in paths:
+        files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
+        for file in files:
+            h.update(str(file.relative_to(ROOT)).encode() + b"\0" + file.read_bytes() + b"\0")
+    return h.hexdigest()
+
+
+class Stamp:
+    """A file in the environment that says from what a step was made."""
+
+    def __init__(self, venv: Path, name: str, key: str) -> None:
+        self.file = venv / "gibson_setup" / f"{name}.stamp"
+        self.key = key
+
+    def fresh(self) -> bool:
+        """Returns whether the step was done, from the same things."""
+        return self.file.is_file() and self.file.read_text() == self.key
+
+    def write(self) -> None:
+        """Notes that the step is done."""
+        self.file.write_text(self.key)
+
+
+def make_venv(venv: Path) -> None:
+    """Creates the environment, anew if it belongs to another Python, another place or an interrupted set-up."""
+    stamp = Stamp(venv, "venv", digest([], str(venv)))
+    if stamp.fresh() and (venv / "bin" / "python").exists():
+        return
+    if venv.exists() and any(venv.iterdir()):
+        if not stamp.file.parent.is_dir():
+            raise SetupError(f"{venv} was not made by this set-up; remove it, or choose another folder with VENV=<folder>")
+        say(f"{venv} belongs to another Python, another place or an interrupted set-up: making it anew")
+        shutil.rmtree(venv)
+    say(f"making {venv} with Python {platform.python_version()}")
+    stamp.file.parent.mkdir(parents=True)
+    run([PYTHON, "-m", "venv", str(venv)], venv, venv / "gibson_setup" / "venv.log")
+    stamp.write()
+
+
+def pinned(*names: str) -> list[str]:
+    """Returns the lines of constraints.txt for these packages; pip takes the ones that hold for this Python."""
+    return [line for line in CONSTRAINTS.read_text().splitlines() if line.partition("==")[0] in names]
+
+
+def pip(venv: Path, log: str, *arguments: str) -> None:
+    """Runs pip in the environment: exact versions, no resolving, no build environments of its own."""
+    command = [
+        str(venv / "bin" / "python"),
+        "-m",
+        "pip",
+        "install",
+        "--disable-pip-version-check",
+        "--no-deps",
+        "--no-build-isolation",
+    ]
+    run([*command, *arguments], venv, venv / "gibson_setup" / f"{log}.log")
+
+
+def pybullet_wheels(venv: Path) -> Path:
+    """Returns a folder with a PyBullet wheel for this Python; compiles it unless an earlier set-up has."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "gibson-sim" / "wheels"
+    tag = f"cp{sys.version_info.major}{sys.version_info.minor}"
+    (requirement,) = pinned("pybullet")
+    if list(cache.glob(f"{requirement.replace('==', '-')}-{tag}-{tag}-*{platform.machine()}.whl")):
+        say(f"PyBullet: using the wheel compiled before, in {cache}")
+        return cache
+    say(
+        f"PyBullet: there is no binary for Python {sys.version_info.major}.{sys.version_info.minor}, so it is compiled: "
+        "3 to 5 minutes, once per machine"
+    )
+    folder = venv / "gibson_setup" / "wheels"
+    command = [
+        str(venv / "bin" / "python"),
+        "-m",
+        "pip",
+        "wheel",
+        "--disable-pip-version-check",
+        "--no-deps",
+        "--no-build-isolation",
+    ]
+    run([*command, "--wheel-dir", str(folder), requirement], venv, venv / "gibson_setup" / "pybullet.log")
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+        for wheel in folder.glob("*.whl"):
+            partial = cache / f".{wheel.name}.{os.getpid()}"
+            shutil.copyfile(wheel, partial)
+            partial.replace(cache / wheel.name)
+    except OSError as error:
+        say(f"PyBullet: the wheel is not kept for other environments: {error}")
+    return folder
+
+
+def install_packages(venv: Path, key: str) -> bool:
+    """Installs everything that constraints.txt lists. Returns whether there was something to do."""
+    stamp = Stamp(venv, "packages", key)
+    if stamp.fresh():
+        return False
+    say("installing the packages of constraints.txt (about a minute)")
+    pip(venv, "build_tools", *pinned(*BUILD_TOOLS))
+    find = []
+    if sys.version_info[:2] >= COMPILED_PYBULLET:
+        find = ["--find-links", str(pybullet_wheels(venv))]
+    pip(venv, "packages", *find, "-r", str(CONSTRAINTS))
+    point_exports_here(venv)
+    stamp.write()
+    return True
+
+
+def point_exports_here(venv: Path) -> None:
+    """Replaces, in the CMake files of the ROS packages, the folders of the machine that built them by this environment's."""
+    code = "import numpy, sysconfig; print(sysconfig.get_path('include')); print(numpy.get_include())"
+    result = subprocess.run(
+        [str(venv / "bin" / "python"), "-c", code], env=clean_environment(venv), capture_output=True, text=True, check=True
+    )
+    python_include, numpy_include = result.stdout.split("\n")[:2]
+    for file in venv.glob("share/*/cmake/*.cmake"):
+        old = file.read_text()
+        new = re.sub(r"/opt/python/[^/;\"]+/include/python3\.\d+", python_include, old)
+        new = re.sub(r"/opt/python/[^;\"]+/numpy/_core/include", numpy_include, new)
+        if new != old:
+            file.write_text(new)
+
+
+def built_on(venv: Path) -> str:
+    """Returns a hash of what the message packages are built against: where that changes, all is built anew."""
+    return digest([], str(venv), *(line for line in CONSTRAINTS.read_text().splitlines() if line.startswith(("numpy==", "ros-"))))
+
+
+def build_interfaces(venv: Path, key: str) -> bool:
+    """Builds the message packages with colcon, into the environment itself. Returns whether there was something to do."""
+    stamp, below = Stamp(venv, "interfaces", key), Stamp(venv, "built_on", built_on(venv))
+    if stamp.fresh():
+        return False
+    if not below.fresh():
+        shutil.rmtree(venv / "ros_build", ignore_errors=True)
+        below.write()
+    say("building the message packages with colcon (one to three minutes the first time)")
+    python, base = venv / "bin" / "python", venv / "ros_build"
+    command = [str(python), "-m", "colcon", "--log-base", str(base / "log"), "build", "--base-paths", *map(str, INTERFACES)]
+    command += [
+        "--merge-install",
+        "--install-base",
+        str(venv),
+        "--build-base",
+        str(base / "build"),
+        "--cmake-args",
+        "-G",
+        "Ninja",
+    ]
+    command += [f"-DPython3_EXECUTABLE={python}", "-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release", "--no-warn-unused-cli"]
+    extra = {"AMENT_PREFIX_PATH": str(venv), "CMAKE_PREFIX_PATH": str(venv), "COLCON_HOME": str(base / "home")}
+    run(command, venv, venv / "gibson_setup" / "interfaces.log", extra)
+    stamp.write()
+    return True
+
+
+def install_project(venv: Path) -> bool:
+    """Installs Gibson Sim so that the environment uses the source tree. Returns whether there was something to do."""
+    files = [PROJECT / name for name in ("setup.py", "setup.cfg", "pyproject.toml")]
+    stamp = Stamp(venv, "project", digest(files, str(ROOT), str(venv)))
+    if stamp.fresh():
+        return False
+    say("installing gibson_sim from the source tree")
+    pip(venv, "project", "--editable", str(PROJECT))
+    stamp.write()
+    return True
+
+
+@contextlib.contextmanager
+def alone(venv: Path) -> Iterator[None]:
+    """Waits until no other set-up works in the folder of the environment."""
+    venv.parent.mkdir(parents=True, exist_ok=True)
+    folder = os.open(venv.parent, os.O_RDONLY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(folder)
+
+
+def set_up(venv: Path) -> None:
+    """Brings the environment up to date."""
+    if sys.version_info[:2] not in SUPPORTED or platform.python_implementation() != "CPython":
+        names = ", ".join(f"{major}.{minor}" for major, minor in SUPPORTED)
+        raise SetupError(
+            f"Python is {platform.python_implementation()} {platform.python_version()}, must be CPython {names}; "
+            "choose one with PYTHON=python3.12 make setup"
+        )
+    packages = digest([CONSTRAINTS], str(venv))
+    interfaces = digest(INTERFACES, built_on(venv))
+    if not (Stamp(venv, "packages", packages).fresh() and Stamp(venv, "interfaces", interfaces).fresh()):
+        check_system()
+    make_venv(venv)
+    done = [install_packages(venv, packages), build_interfaces(venv, interfaces), install_project(venv)]
+    say(f"{venv} is ready" if any(done) else f"{venv} is up to date")
+
+
+def main() -> int:
+    """Returns the exit code."""
+    parser = argparse.ArgumentParser(description="Makes the environment in which Gibson Sim runs.")
+    parser.add_argument(
+        "--venv", type=Path, default=ROOT / ".venv", help="folder of the environment (default: .venv beside this file)"
+    )
+    venv = Path(os.path.abspath(parser.parse_args().venv))
+    try:
+        with alone(venv):
+            set_up(venv)
+    except SetupError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("error: interrupted; the next `make setup` goes on", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,16 @@
+# source env.sh: activates the environment for your own nodes and tools. Works in bash and zsh.
+# It also takes another ROS installation out of this shell: two of them in one process do not work.
+
+_gibson_sim_root="$(cd "$(dirname "${BASH_SOURCE[0]:-${(%):-%x}}")" && pwd)"
+if [ ! -f "$_gibson_sim_root/.venv/bin/activate" ]; then
+    echo "error: there is no environment in $_gibson_sim_root/.venv; make it with: make setup" >&2
+    unset _gibson_sim_root
+    return 1 2>/dev/null || exit 1
+fi
+unset PYTHONPATH LD_LIBRARY_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+. "$_gibson_sim_root/.venv/bin/activate"
+# Lets programs find packages by name (ament index).
+export AMENT_PREFIX_PATH="$_gibson_sim_root/.venv"
+# Large images between processes on this machine go through shared memory.
+export FASTRTPS_DEFAULT_PROFILES_FILE="$_gibson_sim_root/config/fastdds.xml"
+unset _gibson_sim_root

@@ -1,0 +1,67 @@
+"""Package description, read by colcon (ament_python) and by pip. Version: also in package.xml and gibson_sim/__init__.py."""
+
+import os
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = "gibson_sim"
+
+
+def share(folder):
+    """Returns data_files entries for everything below a folder, links followed, under share/gibson_sim/<folder>."""
+    entries = []
+    for place, folders, names in os.walk(folder, followlinks=True):
+        folders[:] = sorted(name for name in folders if name != "__pycache__" and not name.startswith("."))
+        files = sorted(os.path.join(place, name) for name in names if not name.startswith("."))
+        if files:
+            entries.append((os.path.join("share", NAME, place), files))
+    return entries
+
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="A ROS 2 simulation server for indoor robots: PyBullet physics, EGL rendering",
+    license="Apache-2.0",
+    author="Gibson Sim maintainers",
+    maintainer="Gibson Sim maintainers",
+    maintainer_email="maintainers@gibson-sim.example",
+    packages=find_packages(include=[NAME, NAME + ".*"]),
+    package_data={NAME: ["py.typed", "render/shaders/*"]},
+    python_requires=">=3.10",
+    install_requires=[
+        "numpy",
+        "scipy",
+        "opencv-python-headless",
+        "trimesh",
+        "pillow",
+        "pycollada",
+        "moderngl",
+        "PyYAML",
+        "pybullet",
+        "rosbags",
+        "mcap",
+        "zstandard",
+        "av",
+    ],
+    extras_require={"test": ["pytest", "hypothesis"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
+        ("share/" + NAME, ["package.xml"]),
+        ("share/" + NAME + "/launch", sorted(glob("launch/*.launch.py"))),
+        *share("config"),
+        *share("scenes"),
+    ],
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "gibson-sim = gibson_sim.cli.main:main",
+            "physics_node = gibson_sim.ros.physics_node:main",
+            "render_node = gibson_sim.ros.render_node:main",
+            "drive_node = gibson_sim.ros.drive_node:main",
+            "record_node = gibson_sim.ros.record_node:main",
+            "snapshot_node = gibson_sim.ros.snapshot_node:main",
+        ]
+    },
+)
