@@ -43,7 +43,7 @@ def check_settings(settings: Settings) -> None:
     Raises:
         ConfigError: naming the field, its value and what is allowed.
     """
-    for f in fields(settings):  # type: ignore[arg-type]
+    for f in fields(settings):
         value, what = getattr(settings, f.name), f"setting {f.name!r}"
         wanted = type(f.default)
         if wanted is float and type(value) is int:

@@ -31,7 +31,7 @@ def test_other_domain_is_free(tmp_path: Path) -> None:
         lock.close()
 
 
-def test_dead_segments_go_and_living_ones_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dead_segments_go_and_living_ones_stay(tmp_path: Path) -> None:
     dead = ["fastrtps_dead", "fastrtps_dead_el", "fastrtps_port7001", "fastrtps_port7001_el", "sem.fastrtps_port7001_mutex"]
     orphan = ["fastrtps_port7002", "sem.fastrtps_port7002_mutex"]
     alive = ["fastrtps_alive", "fastrtps_alive_el", "fastrtps_port7003", "fastrtps_port7003_el", "sem.fastrtps_port7003_mutex"]
@@ -41,11 +41,22 @@ def test_dead_segments_go_and_living_ones_stay(tmp_path: Path, monkeypatch: pyte
         fcntl.flock(a, fcntl.LOCK_EX)
         fcntl.flock(b, fcntl.LOCK_EX)
         remove_dead_segments(tmp_path)
-        left = {p.name for p in tmp_path.iterdir()}
-        assert left == {*orphan, *alive, "somebody_else_el"}, "a port that was made just now may still get its lock"
-        monkeypatch.setattr(shared_memory, "SETTLED_S", -1.0)
-        remove_dead_segments(tmp_path)
         assert {p.name for p in tmp_path.iterdir()} == {*alive, "somebody_else_el"}
+
+
+def test_port_that_gets_its_lock_while_we_look_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "fastrtps_port7002").touch()
+    lock = tmp_path / "fastrtps_port7002_el"
+    with lock.open("w") as held:
+        lock.rename(tmp_path / "not_yet")
+
+        def meanwhile(_: float) -> None:
+            (tmp_path / "not_yet").rename(lock)
+            fcntl.flock(held, fcntl.LOCK_EX)
+
+        monkeypatch.setattr(shared_memory.time, "sleep", meanwhile)
+        remove_dead_segments(tmp_path)
+        assert (tmp_path / "fastrtps_port7002").exists()
 
 
 def _cli(*argv: str) -> subprocess.CompletedProcess[str]:

@@ -18,26 +18,41 @@ SETTLED_S = 1.0
 
 
 def remove_dead_segments(folder: Path = FOLDER) -> list[Path]:
-    """Removes the files of dead segments and ports that we may remove; returns their paths. The living are left alone."""
-    removed = []
-    for base in sorted({p.with_name(p.name.removesuffix("_el")) for p in folder.glob("fastrtps_*")}):
-        lock = base.with_name(f"{base.name}_el")
-        if _is_dead(base, lock):
-            for path in (base, base.with_name(f"sem.{base.name}_mutex"), lock):
-                try:
-                    path.unlink()
-                    removed.append(path)
-                except (FileNotFoundError, PermissionError):
-                    continue
+    """Removes the files of dead segments and ports that we may remove; returns their paths. The living are left alone.
+
+    Where ports without a lock are too young to judge, it waits for ``SETTLED_S`` and looks again.
+    """
+    removed, young = _sweep(folder)
+    if young:
+        time.sleep(SETTLED_S)
+        removed += _sweep(folder)[0]
     return removed
 
 
-def _is_dead(base: Path, lock: Path) -> bool:
-    """Returns whether nobody holds the lock file; someone else's file that we may not open counts as living."""
+def _sweep(folder: Path) -> tuple[list[Path], bool]:
+    """Removes what is dead now; returns what was removed, and whether there are ports too young to judge."""
+    removed, young = [], False
+    for base in sorted({p.with_name(p.name.removesuffix("_el")) for p in folder.glob("fastrtps_*")}):
+        lock = base.with_name(f"{base.name}_el")
+        if lock.exists():
+            dead = _is_free(lock)
+        else:
+            is_port = "_port" in base.name
+            dead = is_port and _age_s(base) >= SETTLED_S
+            young = young or (is_port and not dead)
+        for path in (base, base.with_name(f"sem.{base.name}_mutex"), lock) if dead else ():
+            try:
+                path.unlink()
+                removed.append(path)
+            except (FileNotFoundError, PermissionError):
+                continue
+    return removed, young
+
+
+def _is_free(lock: Path) -> bool:
+    """Returns whether nobody holds the lock file; someone else's file that we may not open counts as held."""
     try:
         descriptor = os.open(lock, os.O_RDWR | os.O_CLOEXEC)
-    except FileNotFoundError:
-        return "_port" in base.name and _age_s(base) > SETTLED_S
     except OSError:
         return False
     try:

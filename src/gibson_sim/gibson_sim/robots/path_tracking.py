@@ -78,10 +78,9 @@ class PathFollower:
         """Returns forward speed (m/s) and yaw rate (rad/s) for a pose in the frame of the path (metres, radians)."""
         if not all(map(math.isfinite, (x, y, yaw))):
             raise CommandError(f"path follower: pose ({x}, {y}, {yaw}) holds a NaN or an infinity")
-        if self._done:
-            return 0.0, 0.0
         here = np.array([x, y])
-        self._advance(here)
+        if not self._done:
+            self._advance(here)
         if self._done:
             return 0.0, 0.0
         end = float(self._arc[self._ends[self._leg]])

@@ -315,7 +315,7 @@ def image_to_msg(pixels: NDArray[Any], encoding: str, stamp_ns: int, frame_id: s
     """Returns an image of C-contiguous ``pixels``, shape (H, W) or (H, W, C), row 0 at the top."""
     height, width = pixels.shape[:2]
     data = array("B")
-    data.frombytes(memoryview(pixels).cast("B"))
+    data.frombytes(pixels.data.cast("B"))
     msg = Image(header=header_to_msg(stamp_ns, frame_id))
     msg.height, msg.width, msg.encoding = height, width, encoding
     msg.is_bigendian = 0

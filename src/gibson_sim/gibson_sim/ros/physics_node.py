@@ -97,6 +97,10 @@ class PhysicsNode(Node):
                 "another node publishes /clock in this ROS domain: stop that simulation, or choose another ROS_DOMAIN_ID"
             )
 
+    def _give_way_while_young(self) -> None:
+        if time.monotonic() < self._young_until:
+            self._refuse_second_simulation(own=1)
+
     def _make_publishers(self) -> None:
         self._clock_pub = self.create_publisher(ClockMsg, names.CLOCK, qos.CLOCK)
         self._tf_pub = self.create_publisher(TFMessage, names.TF, qos.TF)
@@ -147,12 +151,8 @@ class PhysicsNode(Node):
         period = 1.0 / (self._config.clock_hz * self._config.rate) if self._config.rate else 1e-5
         self.create_timer(min(period, 0.01), tick, clock=steady)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
-        young_until = time.monotonic() + DISCOVERY_S
-        watch = self.create_timer(
-            0.2,
-            lambda: self._refuse_second_simulation(own=1) if time.monotonic() < young_until else watch.cancel(),
-            clock=steady,
-        )
+        self._young_until = time.monotonic() + DISCOVERY_S
+        self.create_timer(0.2, self._give_way_while_young, clock=steady)
         self._last_report = (time.monotonic_ns(), self.world.stamp_ns)
         try:
             while rclpy.ok() and not done:

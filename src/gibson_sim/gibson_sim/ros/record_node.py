@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from functools import partial
 from importlib import import_module
-from typing import Any
+from typing import Any, cast
 
 import rclpy
 from rclpy.clock import Clock, ClockType
@@ -15,7 +15,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock as ClockMsg
 
-from gibson_sim.bags.writer import BagWriter
+from gibson_sim.bags.writer import BagWriter, Compression
 from gibson_sim.config import RecordConfig
 from gibson_sim.errors import ConfigError, RecordError
 from gibson_sim.ros import conversions, names, qos
@@ -48,7 +48,7 @@ class RecordNode(Node):
         if not config.output:
             raise ConfigError("setting 'output' is empty, must be the folder of the bag")
         self._wanted = {self.resolve_topic_name(t.strip()) for t in config.topics.split(",") if t.strip()}
-        self._bag = BagWriter(config.output, reserve_bytes=config.reserve_mb * 1_000_000, compression=config.compression)
+        self._bag = BagWriter(config.output, reserve_bytes=config.reserve_mb * 1_000_000, compression=cast(Compression, config.compression))
         self._seen: set[str] = set()
         self._now_ns = 0
         self._start_ns = 0

@@ -72,12 +72,12 @@ class FloorMap:
     def centers(self, cells: ArrayLike) -> F64:
         """Returns world x, y, (..., 2), of the centres of cells given as row, column, (..., 2)."""
         rows_columns = np.asarray(cells, dtype=np.float64)
-        return (rows_columns[..., ::-1] + 0.5) * self.resolution + np.asarray(self.origin)
+        return np.asarray((rows_columns[..., ::-1] + 0.5) * self.resolution + np.asarray(self.origin))
 
     def clearance(self, xy: ArrayLike) -> F64:
         """Returns ``distance_to_obstacle`` of the cells that hold world points (..., 2); 0 outside the grid."""
         cells = self.cells(xy)
-        inside = ((cells >= 0) & (cells < np.array(self.shape))).all(axis=-1)
+        inside = np.asarray(((cells >= 0) & (cells < np.array(self.shape))).all(axis=-1))
         safe = np.where(inside[..., None], cells, 0)
         return np.where(inside, self.distance_to_obstacle[safe[..., 0], safe[..., 1]], 0.0)
 

@@ -342,6 +342,6 @@ def _color(element: Element) -> tuple[Rgba | None, bool]:
     if values is not None and material.find("pbr") is None:
         r, g, b, a = (min(max(v, 0.0), 1.0) for v in ([*values, 1.0][:4]))
         base = (r, g, b, a or 1.0)
-    if base is None or base[:3] == (1.0, 1.0, 1.0) and element.find("geometry/mesh") is not None and not script:
+    if base is None or (base[:3] == (1.0, 1.0, 1.0) and element.find("geometry/mesh") is not None and not script):
         return None, True
     return (*base[:3], base[3] * alpha), True

@@ -24,7 +24,7 @@ def is_inside(path: Path, roots: Sequence[Path]) -> bool:
 
 
 def local_path(uri: str, folder: Path) -> Path:
-    """Returns the path that a reference in a mesh file means: percent-decoded, ``\\`` as ``/``, ``file://`` dropped."""
+    r"""Returns the path that a reference in a mesh file means: percent-decoded, ``\`` as ``/``, ``file://`` dropped."""
     text = unquote(uri.strip()).replace("\\", "/")
     if text.lower().startswith("file://"):
         text = text[7:]

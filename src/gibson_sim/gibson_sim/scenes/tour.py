@@ -145,7 +145,7 @@ class _Graph:
     def is_free(self, points: F64) -> Bools:
         """Returns (N,): the robot may be at these points (N, 2)."""
         cells = self.floor_map.cells(points)
-        inside = ((cells >= 0) & (cells < np.array(self.floor_map.shape))).all(axis=1)
+        inside = np.asarray(((cells >= 0) & (cells < np.array(self.floor_map.shape))).all(axis=1))
         safe = np.where(inside[:, None], cells, 0)
         return np.asarray(inside & self.allowed[safe[:, 0], safe[:, 1]])
 

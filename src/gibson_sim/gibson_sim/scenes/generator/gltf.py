@@ -55,10 +55,9 @@ class Solid:
         u, v = p[1] - p[0], p[3] - p[0]
         normal = np.cross(u, v)
         normal /= np.linalg.norm(normal)
-        if uvs is None:
-            w, h = np.linalg.norm(u) / paint.metres, np.linalg.norm(v) / paint.metres
-            uvs = [[0, 0], [w, 0], [w, -h], [0, -h]]
-        self.add(paint, p, np.tile(normal, (4, 1)), uvs, [[0, 1, 2], [0, 2, 3]])
+        w, h = np.linalg.norm(u) / paint.metres, np.linalg.norm(v) / paint.metres
+        repeated = np.array([[0, 0], [w, 0], [w, -h], [0, -h]])
+        self.add(paint, p, np.tile(normal, (4, 1)), repeated if uvs is None else uvs, [[0, 1, 2], [0, 2, 3]])
 
     def box(self, low: ArrayLike, high: ArrayLike, paint: Paint, *, but: Iterable[str] = ()) -> None:
         """Adds a box; ``but`` names faces to leave out, of -x +x -y +y -z +z. What stands on the floor has no underside."""
@@ -132,7 +131,8 @@ def write_glb(path: Path, solid: Solid) -> None:
     views: list[dict[str, Any]] = []
     accessors: list[dict[str, Any]] = []
     images: list[str] = []
-    materials, primitives = [], []
+    materials: list[dict[str, Any]] = []
+    primitives: list[dict[str, Any]] = []
 
     def accessor(data: NDArray[Any], target: int, kind: str, **more: Any) -> int:
         views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": data.nbytes, "target": target})
