@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import os
+import pty
 import signal
 import subprocess
 import sys
+import termios
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,6 +23,7 @@ require("rclpy", "gibson_msgs")
 from geometry_msgs.msg import Twist, TwistStamped  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data  # noqa: E402
+from rosbags.highlevel import AnyReader  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Image, JointState, LaserScan  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
@@ -169,6 +172,43 @@ def test_snapshot_writes_colour_and_depth_of_every_camera(sim: Launched, tmp_pat
     assert rgb.std() > 5
     assert (depth.shape, depth.dtype) == ((480, 640), np.uint16)
     assert 100 < np.median(depth) < 10_000, "millimetres to the walls of a flat"
+
+
+def test_keyboard_turns_the_robot_and_gives_the_terminal_back(sim: Launched, listener: Listener) -> None:
+    odometry = listener.collect(Odometry, "odom", 50)
+    master, slave = pty.openpty()
+    before = termios.tcgetattr(slave)
+    command = [sys.executable, "-m", "gibson_sim.cli.main", "drive", "keyboard"]
+    with subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave) as driver:
+
+        def turning() -> bool:
+            os.write(master, b"a")  # again and again: keys typed before the drive is ready are thrown away
+            return bool(odometry) and odometry[-1].twist.twist.angular.z > 0.5
+
+        listener.spin_until(turning, "a turn to the left")
+        os.write(master, b"s")
+        listener.spin_until(lambda: abs(odometry[-1].twist.twist.angular.z) < 0.01, "a stop")
+        driver.send_signal(signal.SIGINT)
+        assert driver.wait() == 0
+    assert termios.tcgetattr(slave) == before
+    os.close(master)
+    os.close(slave)
+
+
+def test_keyboard_without_a_terminal_says_what_to_do(sim: Launched) -> None:
+    command = [sys.executable, "-m", "gibson_sim.cli.main", "drive", "keyboard"]
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "needs a terminal on standard input" in done.stderr
+
+
+def test_record_beside_a_running_simulation_ends_after_its_duration(sim: Launched, tmp_path: Path) -> None:
+    recorder = Launched("record", str(tmp_path / "bag"), "--topics", "odom,clock,camera/camera_info", "--duration", "2")
+    assert recorder.wait() == 0, "\n".join(recorder.lines)
+    with AnyReader([tmp_path / "bag"]) as reader:
+        counts = {c.topic: c.msgcount for c in reader.connections}
+    assert set(counts) == {"/odom", "/clock", "/camera/camera_info"}
+    assert 60 < counts["/odom"] <= 130, "two seconds at 60 Hz, less what passed until the topic was found"
 
 
 def test_render_node_that_is_killed_comes_back_and_images_go_on(sim: Launched, listener: Listener) -> None:

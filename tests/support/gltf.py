@@ -53,7 +53,8 @@ class Gltf:
         """Adds a primitive with normals (file frame) to mesh 0; ``uvs`` and ``material`` may be given."""
         attributes = {"POSITION": self.accessor(corners)}
         a, b, c = (np.asarray(p, dtype=float) for p in np.asarray(corners)[:3])
-        normal = np.cross(b - a, c - a)
+        with np.errstate(invalid="ignore"):
+            normal = np.cross(b - a, c - a)
         if np.isfinite(normal).all():
             attributes["NORMAL"] = self.accessor([normal / np.linalg.norm(normal)] * len(np.asarray(corners)))
         if "uvs" in more:

@@ -77,7 +77,7 @@ def test_each_primitive_has_its_own_colour(tmp_path: Path) -> None:
         {"pbrMetallicRoughness": {"baseColorFactor": [0, 0.2140411, 0, 0.5]}, "alphaMode": "BLEND"},
     ]
     first, second = load_mesh(gltf.write(tmp_path / "t.glb"), [tmp_path]).parts
-    assert first.material.base_color == (1, 0, 0, 1)
+    assert first.material.base_color == pytest.approx((1, 0, 0, 1))
     # Linear 0.214 is 0.5 in sRGB.
     assert second.material.base_color == pytest.approx((0, 0.5, 0, 0.5), abs=1e-4)
     assert second.material.alpha_mode == "blend"

@@ -30,6 +30,8 @@ VERTEX = np.dtype(
     [("position", "<f4", 3), ("normal", "<f4", 3), ("uv", "<f4", 2), ("color", "<f2", 4), ("surface", "u1", 4)]
 )  # fmt: skip
 CHUNK_TRIANGLES = 512
+BLEND_CHUNKS = 2048
+"""Translucent batches are cut into about this many chunks or single triangles, since they are drawn in order of their distance."""
 SOLID_ALPHA = 0.9
 """Where a blended material has at least this alpha it is drawn as solid, so that it also has a depth."""
 
@@ -166,7 +168,7 @@ def _join(piles: dict[tuple[int, int, Kind], _Pile], textures: list[TextureSourc
     boxes: list[tuple[int, int, F64, F64, int]] = []
     first = base = 0
     for (link, texture, kind), pile in piles.items():
-        triangles, ends, pile_vertices = _chunks(np.concatenate(pile.vertices), np.concatenate(pile.triangles))
+        triangles, ends, pile_vertices = _chunks(np.concatenate(pile.vertices), np.concatenate(pile.triangles), kind)
         start = 0
         batches.append(Batch(link, texture, kind, len(boxes), len(boxes) + len(ends)))
         for end in ends:
@@ -194,21 +196,22 @@ def _join(piles: dict[tuple[int, int, Kind], _Pile], textures: list[TextureSourc
     )
 
 
-def _chunks(vertices: NDArray[np.void], triangles: I64) -> tuple[I64, list[int], NDArray[np.void]]:
+def _chunks(vertices: NDArray[np.void], triangles: I64, kind: Kind) -> tuple[I64, list[int], NDArray[np.void]]:
     """Returns the triangles ordered so that neighbours in space are neighbours in memory, where chunks end, and the vertices."""
+    size = CHUNK_TRIANGLES if kind != "blend" else min(max(len(triangles) // BLEND_CHUNKS, 1), CHUNK_TRIANGLES)
     centroids = vertices["position"][triangles].mean(axis=1, dtype=np.float64)
     codes = _morton(centroids)
     leaves: list[I64] = []
     stack = [np.argsort(codes, kind="stable")]
     while stack:
         rows = stack.pop()
-        if len(rows) <= CHUNK_TRIANGLES:
+        if len(rows) <= size:
             leaves.append(rows)
             continue
         points = centroids[rows]
         axis = int(np.argmax(np.ptp(points, axis=0)))
         # Equal halves of whole chunks; a stable sort keeps equal coordinates in Morton order.
-        half = CHUNK_TRIANGLES * ((len(rows) + 2 * CHUNK_TRIANGLES - 1) // (2 * CHUNK_TRIANGLES))
+        half = size * ((len(rows) + 2 * size - 1) // (2 * size))
         upper = np.zeros(len(rows), dtype=bool)
         upper[np.argsort(points[:, axis], kind="stable")[half:]] = True
         stack += [rows[upper], rows[~upper]]

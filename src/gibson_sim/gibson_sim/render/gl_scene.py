@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ctypes
 from importlib.resources import files
+from itertools import groupby
+from typing import Any
 
 import cv2
 import moderngl
@@ -53,7 +55,8 @@ class GlScene:
         header = "#version 330 core\n"
         vertex, fragment = (_shader(name) for name in ("scene.vert", "scene.frag"))
         self.programs = tuple(
-            gl.program(vertex_shader=header + vertex, fragment_shader=header + define + fragment) for define in ("", "#define CUT\n")
+            gl.program(vertex_shader=header + vertex, fragment_shader=header + define + fragment)
+            for define in ("", "#define CUT\n")
         )
         # An empty buffer is an error; one vertex and one index that no chunk names are not.
         self._vertex_buffer = gl.buffer(batches.vertices.tobytes() or bytes(batches.vertices.dtype.itemsize))
@@ -160,14 +163,20 @@ class GlScene:
             self._draw_translucent(visible, distance, drawer)
 
     def _draw_translucent(self, visible: NDArray[np.bool_], distance: NDArray[np.float64], drawer: _Drawer) -> None:
-        pieces = [(chunk, batch) for batch in self._batches.batches if batch.kind == "blend" for chunk in range(batch.first_chunk, batch.end_chunk)]
+        pieces = [
+            (chunk, batch)
+            for batch in self._batches.batches
+            if batch.kind == "blend"
+            for chunk in range(batch.first_chunk, batch.end_chunk)
+        ]
         pieces = [p for p in pieces if visible[p[0]] or not self._cull]
         self._enable(_BLEND)
         self._blend_func(_SRC_ALPHA, _ONE_MINUS_SRC_ALPHA)
         self._depth_mask(0)
         drawer.set_translucent(True)
-        for chunk, batch in sorted(pieces, key=lambda p: -float(distance[p[0]])):
-            drawer.draw(batch, np.array([chunk]), CUT)
+        pieces.sort(key=lambda p: -float(distance[p[0]]))
+        for batch, run in groupby(pieces, key=lambda p: p[1]):
+            drawer.draw(batch, np.array([chunk for chunk, _ in run]), CUT)
         self._depth_mask(1)
         self._disable(_BLEND)
 
@@ -181,7 +190,7 @@ class GlScene:
 
     def close(self) -> None:
         """Frees everything; a second call does nothing."""
-        handles = (*self._arrays, self._vertex_buffer, self._index_buffer, *self.textures, *self.programs)
+        handles: tuple[Any, ...] = (*self._arrays, self._vertex_buffer, self._index_buffer, *self.textures, *self.programs)
         self._arrays, self.textures, self.programs = (), [], ()
         for handle in handles:
             handle.release()
@@ -190,7 +199,9 @@ class GlScene:
 class _LinkFrames:
     """What the shaders need to know of each link, ready to be sent."""
 
-    def __init__(self, clip: NDArray[np.float64], eyes: NDArray[np.float64], to_sun: NDArray[np.float64], up: NDArray[np.float64]) -> None:
+    def __init__(
+        self, clip: NDArray[np.float64], eyes: NDArray[np.float64], to_sun: NDArray[np.float64], up: NDArray[np.float64]
+    ) -> None:
         self.clip = np.ascontiguousarray(clip.transpose(0, 2, 1), dtype=np.float32)  # OpenGL takes columns
         self.vectors = {"u_eye": eyes.astype(np.float32), "u_to_sun": to_sun.astype(np.float32), "u_up": up.astype(np.float32)}
 

@@ -57,7 +57,9 @@ class Target:
         limit = _I(0)
         gl["glGetIntegerv"](_MAX_RENDERBUFFER_SIZE, ctypes.byref(limit))
         if max(width, height) > limit.value:
-            raise RenderError(f"image size is {width}x{height}, {context.device.renderer} draws at most {limit.value} pixels a side")
+            raise RenderError(
+                f"image size is {width}x{height}, {context.device.renderer} draws at most {limit.value} pixels a side"
+            )
         try:
             gl["glGenFramebuffers"](1, ctypes.byref(self._framebuffer))
             gl["glBindFramebuffer"](_FRAMEBUFFER, self._framebuffer)
@@ -69,7 +71,9 @@ class Target:
                 gl["glFramebufferRenderbuffer"](_FRAMEBUFFER, attachment, _RENDERBUFFER, buffer)
             status = gl["glCheckFramebufferStatus"](_FRAMEBUFFER)
             if status != _COMPLETE or gl["glGetError"]():
-                raise RenderError(f"the driver cannot draw an image of {width}x{height} pixels (status 0x{status:x}); choose a smaller one")
+                raise RenderError(
+                    f"the driver cannot draw an image of {width}x{height} pixels (status 0x{status:x}); choose a smaller one"
+                )
         except BaseException:
             self.close()
             raise

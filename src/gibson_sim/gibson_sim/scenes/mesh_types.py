@@ -203,7 +203,9 @@ def build_part(
         n = None if n is None else n[used]
         uv = None if uv is None else uv[used]
     if matrix is not None:
-        v = apply(matrix, v)
+        # What is not finite is refused below, with its row.
+        with np.errstate(invalid="ignore", over="ignore"):
+            v = apply(matrix, v)
         n = None if n is None else turn_normals(matrix, n)
         t = t if np.linalg.det(matrix[:3, :3]) > 0 else t[:, ::-1]
     with np.errstate(over="ignore"):

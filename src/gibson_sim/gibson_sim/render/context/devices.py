@@ -9,7 +9,7 @@ import os
 import subprocess
 import sys
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from gibson_sim.errors import GraphicsUnavailableError
 from gibson_sim.render.context.egl import LIBRARY, REMEDY, Egl, EglContext
@@ -59,7 +59,9 @@ class GlContext:
             # Loaded here so that listing devices works where ModernGL is not installed.
             import moderngl
 
-            self._gl = moderngl.create_context(require=450, standalone=True, context=self.egl)
+            # It takes any object with the methods of a context, though its types name a dictionary.
+            context: Any = self.egl
+            self._gl = moderngl.create_context(require=450, standalone=True, context=context)
         return self._gl
 
     def make_current(self) -> None:
@@ -88,11 +90,15 @@ def open_context(device: int | None = None, *, library: str = LIBRARY) -> GlCont
         raise GraphicsUnavailableError(f"cannot draw: EGL finds no device, neither a GPU nor software: {REMEDY}")
     if device is not None:
         if not 0 <= device < len(handles):
-            raise GraphicsUnavailableError(f"EGL device {device} does not exist, there are 0 to {len(handles) - 1}; see `gibson-sim doctor`")
+            raise GraphicsUnavailableError(
+                f"EGL device {device} does not exist, there are 0 to {len(handles) - 1}; see `gibson-sim doctor`"
+            )
         try:
             return _open(egl, handles, device)
         except GraphicsUnavailableError as e:
-            raise GraphicsUnavailableError(f"EGL device {device} cannot draw: {e}; choose another, see `gibson-sim doctor`") from e
+            raise GraphicsUnavailableError(
+                f"EGL device {device} cannot draw: {e}; choose another, see `gibson-sim doctor`"
+            ) from e
     return _open_best(egl, handles)
 
 
@@ -164,11 +170,16 @@ def _open_best(egl: Egl, handles: list[int]) -> GlContext:
         raise GraphicsUnavailableError(f"cannot draw: no EGL device works ({'; '.join(problems)}): {REMEDY}")
     fallback.make_current()
     reason = f" ({'; '.join(problems)})" if problems else ""
-    _log.warning("no GPU can draw here%s: drawing in software, on EGL device %d, %s", reason, fallback.device.index, fallback.device.renderer)
+    _log.warning(
+        "no GPU can draw here%s: drawing in software, on EGL device %d, %s",
+        reason,
+        fallback.device.index,
+        fallback.device.renderer,
+    )
     return fallback
 
 
-def _run_probe(library: str, start: int) -> tuple[list[dict[str, object]] | list, str]:  # type: ignore[type-arg]
+def _run_probe(library: str, start: int) -> tuple[list[dict[str, Any]], str]:
     """Returns the lines that ``_probe`` printed in a child, and how the child ended."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     command = [sys.executable, "-c", _PROBE, library, str(start)]

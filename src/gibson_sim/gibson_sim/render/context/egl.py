@@ -78,7 +78,9 @@ class Egl:
             raise GraphicsUnavailableError(f"cannot draw: {library} is not a complete EGL library ({e}): {REMEDY}") from e
         client = self._text(self.call("eglQueryString", None, _EXTENSIONS)).split()
         if "EGL_EXT_platform_device" not in client or not {"EGL_EXT_device_enumeration", "EGL_EXT_device_base"} & set(client):
-            raise GraphicsUnavailableError(f"cannot draw: {library} has no EGL_EXT_device_enumeration and EGL_EXT_platform_device: {REMEDY}")
+            raise GraphicsUnavailableError(
+                f"cannot draw: {library} has no EGL_EXT_device_enumeration and EGL_EXT_platform_device: {REMEDY}"
+            )
         for name, (result, *arguments) in _EXTENSION_PROTOTYPES.items():
             self._functions[name] = ctypes.CFUNCTYPE(result, *arguments)(self.address(name))
 
@@ -163,7 +165,9 @@ class EglContext:
         if self._egl.call("eglGetCurrentContext") == self._context:
             return
         if not self._egl.call("eglMakeCurrent", self._display, None, None, self._context):
-            raise GraphicsUnavailableError(f"the context cannot be made current ({self._egl.error()}); is it in use in another thread?")
+            raise GraphicsUnavailableError(
+                f"the context cannot be made current ({self._egl.error()}); is it in use in another thread?"
+            )
 
     def load_opengl_function(self, name: str) -> int:
         """Returns the address of an OpenGL function, 0 if there is none."""

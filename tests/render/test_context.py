@@ -1,0 +1,67 @@
+"""Finding something that can draw, and saying what to install where nothing can."""
+
+from __future__ import annotations
+
+import pytest
+
+from gibson_sim.errors import GraphicsUnavailableError
+from gibson_sim.render.context import list_devices, open_context
+from gibson_sim.render.renderer import Renderer
+from render.drawing import scene
+
+
+@pytest.mark.parametrize("use", [lambda name: open_context(library=name), lambda name: list_devices(library=name)])
+def test_without_the_library_the_error_names_it_and_what_to_install(use):
+    with pytest.raises(GraphicsUnavailableError) as caught:
+        use("libNoSuchEGL.so.1")
+    message = str(caught.value)
+    assert "libNoSuchEGL.so.1" in message
+    for package in ("libegl1", "libegl-mesa0", "libgl1-mesa-dri"):
+        assert package in message
+    assert "\n" not in message
+
+
+def test_a_library_that_is_not_egl_is_refused_by_name():
+    with pytest.raises(GraphicsUnavailableError, match=r"libc\.so\.6 is not a complete EGL library"):
+        open_context(library="libc.so.6")
+
+
+def test_a_renderer_without_the_library_says_so():
+    with pytest.raises(GraphicsUnavailableError, match=r"libNoSuchEGL\.so\.1"):
+        Renderer(scene(), library="libNoSuchEGL.so.1")
+
+
+@pytest.mark.egl
+@pytest.mark.usefixtures("egl")
+def test_at_least_one_device_is_usable_and_says_what_it_is():
+    devices = list_devices()
+    assert [d.index for d in devices] == list(range(len(devices)))
+    usable = [d for d in devices if d.usable]
+    assert usable
+    assert all(d.renderer and d.version and not d.problem for d in usable)
+    assert all(d.problem for d in devices if not d.usable)
+
+
+@pytest.mark.egl
+@pytest.mark.usefixtures("egl")
+def test_a_device_can_be_chosen_by_number():
+    number = next(d.index for d in list_devices() if d.usable)
+    context = open_context(number)
+    assert context.device.index == number
+    context.close()
+
+
+@pytest.mark.egl
+@pytest.mark.usefixtures("egl")
+@pytest.mark.parametrize("number", [-1, 99])
+def test_a_device_that_does_not_exist_is_refused_by_number(number):
+    with pytest.raises(GraphicsUnavailableError, match=f"EGL device {number} does not exist"):
+        open_context(number)
+
+
+@pytest.mark.egl
+@pytest.mark.usefixtures("egl")
+def test_a_context_may_be_closed_twice():
+    context = open_context()
+    context.close()
+    context.close()

@@ -1,0 +1,93 @@
+"""Finding things by path and by name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from gibson_sim.errors import ConfigError, RobotError, SceneNotFoundError
+from gibson_sim.resources import cache_dir, find_config, find_robot, find_scene, known_scenes
+from support.scenes import write_room
+
+
+def test_explicit_path_is_taken(tmp_path: Path) -> None:
+    assert find_scene(str(write_room(tmp_path / "room"))) == (tmp_path / "room").resolve()
+
+
+def test_missing_explicit_path_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SceneNotFoundError, match="there is nothing at .*room"):
+        find_scene(tmp_path / "room")
+
+
+@pytest.mark.parametrize("inner", ["scenes/barn", "barn"])
+def test_name_is_found_under_the_search_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, inner: str) -> None:
+    write_room(tmp_path / inner)
+    monkeypatch.setenv("GIBSON_SIM_PATH", f"/nonexistent:{tmp_path}")
+    assert find_scene("barn") == (tmp_path / inner).resolve()
+    assert known_scenes()["barn"].resolve() == (tmp_path / inner).resolve()
+
+
+def test_first_folder_of_the_search_path_wins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("a", "b"):
+        write_room(tmp_path / name / "scenes" / "barn")
+    monkeypatch.setenv("GIBSON_SIM_PATH", f"{tmp_path / 'b'}:{tmp_path / 'a'}")
+    assert find_scene("barn") == (tmp_path / "b" / "scenes" / "barn").resolve()
+
+
+def test_misspelt_name_names_the_nearest_known_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_room(tmp_path / "scenes" / "warehouse")
+    monkeypatch.setenv("GIBSON_SIM_PATH", str(tmp_path))
+    with pytest.raises(SceneNotFoundError, match="did you mean 'warehouse'"):
+        find_scene("warehose")
+
+
+def test_installed_name_goes_before_a_folder_of_that_name_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_room(tmp_path / "share" / "scenes" / "barn")
+    write_room(tmp_path / "here" / "barn")
+    monkeypatch.setenv("GIBSON_SIM_PATH", str(tmp_path / "share"))
+    monkeypatch.chdir(tmp_path / "here")
+    assert find_scene("barn") == (tmp_path / "share" / "scenes" / "barn").resolve()
+    assert find_scene("./barn") == (tmp_path / "here" / "barn").resolve()
+
+
+def test_name_cannot_climb_out_of_a_share_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "share" / "scenes").mkdir(parents=True)
+    write_room(tmp_path / "share" / "secret")
+    monkeypatch.setenv("GIBSON_SIM_PATH", str(tmp_path / "share"))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SceneNotFoundError):
+        find_scene("x/../../../secret")
+
+
+def test_configuration_is_found_without_its_suffix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "config" / "presets").mkdir(parents=True)
+    (tmp_path / "config" / "presets" / "slow.yaml").write_text("{}")
+    monkeypatch.setenv("GIBSON_SIM_PATH", str(tmp_path))
+    assert find_config("slow", "presets") == (tmp_path / "config" / "presets" / "slow.yaml").resolve()
+    with pytest.raises(ConfigError, match="did you mean 'slow'"):
+        find_config("slov", "presets")
+
+
+def test_unknown_robot_is_a_robot_error() -> None:
+    with pytest.raises(RobotError, match="rovr"):
+        find_robot("rovr")
+
+
+@pytest.mark.parametrize("name", ["", "  "])
+def test_empty_name_is_refused(name: str) -> None:
+    with pytest.raises(SceneNotFoundError, match="empty"):
+        find_scene(name)
+
+
+def test_cache_is_where_the_variable_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GIBSON_SIM_CACHE", str(tmp_path / "a" / "b"))
+    assert cache_dir() == tmp_path / "a" / "b"
+    assert (tmp_path / "a" / "b").is_dir()
+
+
+def test_cache_that_cannot_be_made_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("GIBSON_SIM_CACHE", str(tmp_path / "file" / "b"))
+    with pytest.raises(ConfigError, match="GIBSON_SIM_CACHE"):
+        cache_dir()
