@@ -96,7 +96,7 @@ def test_warnings_name_files_relative_to_the_scene(tmp_path: Path) -> None:
 
 def test_two_robots_of_one_name_are_refused(tmp_path: Path) -> None:
     scene = load_scene(write_room(tmp_path))
-    robot = load_robot("rover")
+    robot = load_robot("gibson_bot")
     with pytest.raises(SceneError, match="used twice"):
         with_robots(scene, [robot, robot])
     assert len(with_robots(scene, [robot, dataclasses.replace(robot, name="other")]).robots) == 2
