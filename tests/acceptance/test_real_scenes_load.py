@@ -108,9 +108,7 @@ def test_maps_agree_best_without_an_offset(
 
 
 @pytest.mark.parametrize("mirror", [(-1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)])
-def test_maps_do_not_agree_mirrored(
-    house_map: FloorMap, slam_free: NDArray[np.float64], mirror: tuple[float, float]
-) -> None:
+def test_maps_do_not_agree_mirrored(house_map: FloorMap, slam_free: NDArray[np.float64], mirror: tuple[float, float]) -> None:
     assert _agreement(house_map, slam_free)[0] > _agreement(house_map, slam_free * mirror)[0] + 0.03
 
 

@@ -16,7 +16,9 @@ def _launch_file(root: Path) -> str:
 
 def test_arguments_are_settings_of_the_physics_node_with_their_types_and_defaults(root: Path) -> None:
     tree = ast.parse(_launch_file(root))
-    values = {t.id: node.value for node in tree.body if isinstance(node, ast.Assign) for t in node.targets if isinstance(t, ast.Name)}
+    values = {
+        t.id: node.value for node in tree.body if isinstance(node, ast.Assign) for t in node.targets if isinstance(t, ast.Name)
+    }
     arguments = values["ARGUMENTS"]
     assert isinstance(arguments, ast.Tuple)
     settings = {f.name: f.default for f in fields(PhysicsConfig)}

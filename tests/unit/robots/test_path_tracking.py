@@ -163,7 +163,13 @@ def test_unknown_name_lists_the_known_ones() -> None:
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [("0.5 0\n", "line 1"), ("0 0 1\n0.5 fast 1\n", "line 2"), ("", "no steps"), ("0.5 0 -1\n", "above 0"), ("nan 0 1\n", "finite")],
+    [
+        ("0.5 0\n", "line 1"),
+        ("0 0 1\n0.5 fast 1\n", "line 2"),
+        ("", "no steps"),
+        ("0.5 0 -1\n", "above 0"),
+        ("nan 0 1\n", "finite"),
+    ],
 )
 def test_broken_script_is_refused(text: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):

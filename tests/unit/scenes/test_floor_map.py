@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
+from gibson_sim.scenes import floor_map
 from gibson_sim.scenes.floor_map import FloorMap, make_floor_map
 
 CELL = 0.25
@@ -146,7 +147,7 @@ def test_height_without_anything_is_an_error() -> None:
         _map(_level(0, 0, 2, 2, 40.0))
 
 
-def test_huge_scene_gets_coarser_cells() -> None:
-    found = _map(_level(-4000, -4000, 4000, 4000, 0))
-    assert found.resolution > CELL
-    assert found.occupied.size < 17_000_000
+def test_scene_too_large_for_memory_gets_coarser_cells(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(floor_map, "_MAX_CELLS", 10_000)
+    # 100 m x 100 m in 10,000 cells: 1 m each.
+    assert _map(_level(0, 0, 100, 100, 0)).resolution == pytest.approx(1.0)

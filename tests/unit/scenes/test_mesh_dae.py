@@ -16,7 +16,9 @@ NODE = '<instance_geometry url="#g"><bind_material><technique_common>' \
     '<instance_material symbol="s" target="#m"/></technique_common></bind_material></instance_geometry>'  # fmt: skip
 
 
-def _write(path: Path, *, unit: str = "1", up: str = "Z_UP", effect: str = EFFECT, node: str = NODE, indices: str = "0 1 2") -> Path:
+def _write(
+    path: Path, *, unit: str = "1", up: str = "Z_UP", effect: str = EFFECT, node: str = NODE, indices: str = "0 1 2"
+) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(f"""<?xml version="1.0"?>
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
@@ -52,9 +54,7 @@ def test_unit_is_applied(tmp_path: Path) -> None:
     np.testing.assert_allclose(_corners(_write(tmp_path / "a.dae", unit="0.01")), [[1, 2, 3], [4, 2, 3], [1, 5, 3]], atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("up", "first"), [("Z_UP", [100, 200, 300]), ("Y_UP", [100, -300, 200]), ("X_UP", [-200, -300, 100])]
-)
+@pytest.mark.parametrize(("up", "first"), [("Z_UP", [100, 200, 300]), ("Y_UP", [100, -300, 200]), ("X_UP", [-200, -300, 100])])
 def test_up_axis_is_applied(tmp_path: Path, up: str, first: list[float]) -> None:
     assert _corners(_write(tmp_path / "a.dae", up=up))[0] == first
 
@@ -67,10 +67,7 @@ def test_y_up_turns_the_normals_too(tmp_path: Path) -> None:
 
 def test_nested_transforms_are_composed_in_order(tmp_path: Path) -> None:
     # Outer: move by (1000, 0, 0). Inner, first to last: turn by 90 degrees about z, then (closer to the mesh) scale by 2.
-    node = (
-        "<matrix>1 0 0 1000 0 1 0 0 0 0 1 0 0 0 0 1</matrix>"
-        f"<node><rotate>0 0 1 90</rotate><scale>2 2 2</scale>{NODE}</node>"
-    )
+    node = f"<matrix>1 0 0 1000 0 1 0 0 0 0 1 0 0 0 0 1</matrix><node><rotate>0 0 1 90</rotate><scale>2 2 2</scale>{NODE}</node>"
     # (100, 200, 300) -> (200, 400, 600) -> (-400, 200, 600) -> (600, 200, 600).
     np.testing.assert_allclose(_corners(_write(tmp_path / "a.dae", node=node))[0], [600, 200, 600], atol=1e-3)
 

@@ -47,7 +47,9 @@ def test_negative_indices_count_back_from_the_line_of_the_face(tmp_path: Path) -
 
 
 def test_v_is_flipped_so_that_0_is_the_top_row(tmp_path: Path) -> None:
-    (part,) = load_mesh(_write(tmp_path, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0.25\nvt 0 1\nf 1/1 2/2 3/3\n"), [tmp_path]).parts
+    (part,) = load_mesh(
+        _write(tmp_path, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0.25\nvt 0 1\nf 1/1 2/2 3/3\n"), [tmp_path]
+    ).parts
     assert part.uvs is not None
     assert part.uvs[part.triangles[0]].tolist() == [[0, 1], [1, 0.75], [0, 0]]
 

@@ -23,7 +23,9 @@ def room(tmp_path: Path) -> SceneSpec:
     """A room of 4 m x 4 m with the starts `middle` and `corner`, whose floor is 0.5 m up."""
     folder = write_room(tmp_path / "room")
     text = (folder / "scene.yaml").read_text()
-    text = text.replace("ground_z: 0.0", "ground_z: 0.5").replace("starts: [", "starts: [{name: corner, xy: [1, -1], yaw_deg: 90}, ")
+    text = text.replace("ground_z: 0.0", "ground_z: 0.5").replace(
+        "starts: [", "starts: [{name: corner, xy: [1, -1], yaw_deg: 90}, "
+    )
     (folder / "scene.yaml").write_text(text)
     return load_scene(folder)
 
@@ -53,7 +55,7 @@ def test_without_starts_the_most_open_place_is_taken(room: SceneSpec) -> None:
 
 @pytest.mark.parametrize("start", ["midle", "1,2", "1,2,3,4", "nan,0,0", "1,2,x"])
 def test_other_start_is_refused_and_the_known_ones_are_named(room: SceneSpec, start: str) -> None:
-    with pytest.raises(ConfigError, match="x,y,yaw_deg.*corner, middle"):
+    with pytest.raises(ConfigError, match=r"x,y,yaw_deg.*corner, middle"):
         _xyz_and_yaw(room, start)
 
 

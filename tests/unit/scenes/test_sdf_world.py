@@ -90,7 +90,8 @@ def test_missing_mesh_is_a_warning_that_names_model_and_mesh(tmp_path: Path) -> 
 def test_plane_collision_is_the_ground(tmp_path: Path) -> None:
     plane = "<geometry><plane><normal>0 0 1</normal><size>10 10</size></plane></geometry>"
     scene = _load(
-        tmp_path, f'<model name="g"><pose>0 0 0.25 0 0 0</pose><link name="l"><collision name="c">{plane}</collision></link></model>'
+        tmp_path,
+        f'<model name="g"><pose>0 0 0.25 0 0 0</pose><link name="l"><collision name="c">{plane}</collision></link></model>',
     )
     assert scene.ground_z == pytest.approx(0.25)
     assert scene.floor_z == pytest.approx(0.25)
@@ -148,6 +149,14 @@ def test_lights_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize("light", ["<light/>", '<light type="spot"><diffuse>bright</diffuse></light>'])
 def test_odd_light_does_no_harm(tmp_path: Path, light: str) -> None:
     assert len(_load(tmp_path, f'{light}<model name="m">{_box_link()}</model>').visuals) == 1
+
+
+def test_lamp_in_a_static_model_does_no_harm(tmp_path: Path) -> None:
+    lamp = '<light name="bulb" type="point"><diffuse>1 1 1 1</diffuse></light>'
+    link = _box_link().replace("</link>", f"{lamp}</link>")
+    scene = _load(tmp_path, f'<model name="m"><static>true</static>{link}{lamp}</model>')
+    assert [v.name for v in scene.visuals] == ["m"]
+    assert scene.warnings == ()
 
 
 def test_diffuse_colour_and_transparency_are_read(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -36,7 +37,7 @@ def _length(path: NDArray[np.float64]) -> float:
 def _along(path: NDArray[np.float64]) -> NDArray[np.float64]:
     """Returns points every centimetre or closer along the path."""
     t = np.linspace(0, 1, 11)[:, None]
-    return np.concatenate([a + t * (b - a) for a, b in zip(path[:-1], path[1:], strict=True)])
+    return np.concatenate([a + t * (b - a) for a, b in pairwise(path)])
 
 
 def test_tour_keeps_its_distance() -> None:

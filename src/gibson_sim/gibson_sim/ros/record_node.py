@@ -48,7 +48,9 @@ class RecordNode(Node):
         if not config.output:
             raise ConfigError("setting 'output' is empty, must be the folder of the bag")
         self._wanted = {self.resolve_topic_name(t.strip()) for t in config.topics.split(",") if t.strip()}
-        self._bag = BagWriter(config.output, reserve_bytes=config.reserve_mb * 1_000_000, compression=cast(Compression, config.compression))
+        self._bag = BagWriter(
+            config.output, reserve_bytes=config.reserve_mb * 1_000_000, compression=cast(Compression, config.compression)
+        )
         self._seen: set[str] = set()
         self._now_ns = 0
         self._start_ns = 0

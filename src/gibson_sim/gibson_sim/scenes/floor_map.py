@@ -50,7 +50,9 @@ class FloorMap:
 
     def __post_init__(self) -> None:
         if self.occupied.shape != self.floor.shape or self.occupied.ndim != 2 or not self.occupied.size:
-            raise SceneError(f"floor map: occupied is {self.occupied.shape} and floor {self.floor.shape}; must be one (H, W) with cells")
+            raise SceneError(
+                f"floor map: occupied is {self.occupied.shape} and floor {self.floor.shape}; must be one (H, W) with cells"
+            )
         object.__setattr__(self, "distance_to_obstacle", _distance_to_blocked(~self.free, self.resolution))
 
     @property
@@ -157,7 +159,9 @@ def make_floor_map(
     solid = [a.reshape(-1, 2) for a in (obstacles, floors[:, :, :2]) if len(a)]
     if not solid:
         if not ground_plane:
-            raise SceneError(f"floor map: the scene has neither floor nor obstacles near z = {floor_z:g} m; give the right floor_z")
+            raise SceneError(
+                f"floor map: the scene has neither floor nor obstacles near z = {floor_z:g} m; give the right floor_z"
+            )
         solid = [np.array([[-5.0, -5.0], [5.0, 5.0]])]
     box = np.concatenate(solid)
     first, last = box.min(axis=0), box.max(axis=0)

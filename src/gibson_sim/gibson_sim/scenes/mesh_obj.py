@@ -164,10 +164,9 @@ def _part(
     uvs = None
     if len(texcoords) and (t >= 0).any():
         uvs = np.where((t >= 0)[:, None], texcoords[t], 0.0)
-    if smooth is None:
-        corner_normals = normals[n]
-    else:
-        corner_normals = np.where((n >= 0)[:, None], normals[n], smooth[p]) if len(normals) else smooth[p]
+    corner_normals = normals[n] if len(normals) else None
+    if smooth is not None:
+        corner_normals = smooth[p] if corner_normals is None else np.where((n >= 0)[:, None], corner_normals, smooth[p])
     return build_part(str(path), positions[p], corner.reshape(-1, 3), corner_normals, uvs, material)
 
 

@@ -70,7 +70,8 @@ def _cylinder(radius: float, length: float, _z: float) -> tuple[F64, F64, F64, I
     around = np.linspace(0, 2 * math.pi, SEGMENTS + 1)
     side = np.stack([np.cos(around), np.sin(around), np.zeros_like(around)], 1)
     ring = side * radius
-    top, bottom = ring + [0, 0, length / 2], ring - [0, 0, length / 2]
+    up = np.array([0.0, 0.0, length / 2])
+    top, bottom = ring + up, ring - up
     n = SEGMENTS + 1
     k = np.arange(SEGMENTS)
     vertices = np.concatenate([top, bottom, top, bottom, [[0, 0, length / 2], [0, 0, -length / 2]]])
