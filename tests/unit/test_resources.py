@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.errors import ConfigError, RobotError, SceneNotFoundError
-from gibson_sim.resources import cache_dir, find_config, find_robot, find_scene, known_scenes
+from gibson_sim.resources import find_config, find_robot, find_scene, known_scenes
 from support.scenes import write_room
 
 
@@ -78,16 +78,3 @@ def test_unknown_robot_is_a_robot_error() -> None:
 def test_empty_name_is_refused(name: str) -> None:
     with pytest.raises(SceneNotFoundError, match="empty"):
         find_scene(name)
-
-
-def test_cache_is_where_the_variable_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("GIBSON_SIM_CACHE", str(tmp_path / "a" / "b"))
-    assert cache_dir() == tmp_path / "a" / "b"
-    assert (tmp_path / "a" / "b").is_dir()
-
-
-def test_cache_that_cannot_be_made_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "file").write_text("")
-    monkeypatch.setenv("GIBSON_SIM_CACHE", str(tmp_path / "file" / "b"))
-    with pytest.raises(ConfigError, match="GIBSON_SIM_CACHE"):
-        cache_dir()

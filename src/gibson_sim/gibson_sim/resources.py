@@ -18,7 +18,6 @@ from gibson_sim.errors import ConfigError, GibsonSimError, RobotError, SceneNotF
 
 PACKAGE = "gibson_sim"
 PATH_VARIABLE = "GIBSON_SIM_PATH"
-CACHE_VARIABLE = "GIBSON_SIM_CACHE"
 _CONFIG_SUFFIXES = ("", ".yaml", ".yml", ".param.yaml")
 
 
@@ -78,15 +77,6 @@ def find_robot(name_or_path: str | Path) -> Path:
     return _find(name_or_path, folders, _CONFIG_SUFFIXES, RobotError, "robot")
 
 
-def find_asset(kind: str, name_or_path: str | Path) -> Path:
-    """Returns a folder or file under ``<kind>/`` (``robots``, ``objects``) of a share folder, or the path itself.
-
-    Raises:
-        ConfigError: there is no such thing; says where it was looked for and names the nearest known one.
-    """
-    return _find(name_or_path, _folders(kind), _CONFIG_SUFFIXES, ConfigError, kind.rstrip("s"))
-
-
 def known_scenes() -> dict[str, Path]:
     """Returns the folder of every scene that can be named, by name."""
     found: dict[str, Path] = {}
@@ -95,25 +85,6 @@ def known_scenes() -> dict[str, Path]:
             if (entry / "scene.yaml").is_file():
                 found.setdefault(entry.name, entry)
     return found
-
-
-def cache_dir() -> Path:
-    """Returns the folder for files that can be made again, created if need be.
-
-    It is ``$GIBSON_SIM_CACHE``, else ``$XDG_CACHE_HOME/gibson_sim``, else ``~/.cache/gibson_sim``.
-
-    Raises:
-        ConfigError: it cannot be created or written.
-    """
-    explicit, xdg = os.environ.get(CACHE_VARIABLE), os.environ.get("XDG_CACHE_HOME")
-    folder = Path(explicit).expanduser() if explicit else Path(xdg or Path.home() / ".cache") / PACKAGE
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as e:
-        raise ConfigError(f"cache folder {folder} cannot be created: {e.strerror or e}; set {CACHE_VARIABLE} to another") from e
-    if not os.access(folder, os.W_OK):
-        raise ConfigError(f"cache folder {folder} cannot be written; set {CACHE_VARIABLE} to another")
-    return folder
 
 
 def _folders(kind: str) -> tuple[Path, ...]:

@@ -56,10 +56,12 @@ def test_follower_stays_on_the_path_to_its_end(path: list[tuple[float, float]], 
     assert math.dist(poses[-1, :2], path[-1]) < 0.1
 
 
-def test_follower_visits_every_part_of_the_path() -> None:
-    poses = _drive(PathFollower(U_TURN), (0.0, 0.0, 0.0))
-    for corner in U_TURN:
-        assert np.linalg.norm(poses[:, :2] - corner, axis=1).min() < 0.1
+@pytest.mark.parametrize("path", [L_SHAPE, U_TURN, BACK])
+def test_follower_reaches_sharp_corners_before_it_turns(path: list[tuple[float, float]]) -> None:
+    poses = _drive(PathFollower(path), (0.0, 0.0, 0.0))
+    for corner in path:
+        # 5 cm and less than one step.
+        assert np.linalg.norm(poses[:, :2] - corner, axis=1).min() < 0.06
 
 
 def test_follower_comes_back_to_the_path_from_beside_it() -> None:

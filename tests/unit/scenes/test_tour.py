@@ -77,6 +77,21 @@ def test_both_rooms_are_visited() -> None:
     assert back[:, 0].min() < 2.0
 
 
+def test_third_corner_is_visited_before_the_first_one_again() -> None:
+    # A plus of four corridors, 1 m wide and 4 m long, from the middle (4.5, 4.5).
+    floor = _floor(9, 9, (0, 0, 4, 4), (5, 0, 9, 4), (0, 5, 4, 9), (5, 5, 9, 9))
+    # Out of the left arm 4 m, then at most there and back for each of the others.
+    path = plan_tour(floor, (0.5, 4.5), RADIUS, 4 + 3 * 8)
+    for end in ((8.5, 4.5), (4.5, 0.5), (4.5, 8.5)):
+        assert np.linalg.norm(path - end, axis=1).min() < 0.9
+
+
+def test_door_that_is_narrower_than_the_robot_is_not_driven_through() -> None:
+    floor = _floor(8, 4, (3.95, 0, 4.05, 1.5), (3.95, 1.95, 4.05, 4))
+    assert plan_tour(floor, (1.0, 1.0), 0.23, 20.0)[:, 0].max() < 3.95
+    assert plan_tour(floor, (1.0, 1.0), 0.18, 20.0)[:, 0].max() > 6.0
+
+
 def test_points_are_close_together() -> None:
     path = plan_tour(two_rooms(), (1.0, 1.0), RADIUS, 15.0)
     steps = np.linalg.norm(np.diff(path, axis=0), axis=1)

@@ -21,6 +21,7 @@ from gibson_sim import __version__
 from gibson_sim.cli.environment import PROFILE_VARIABLE, dds_profile, domain_of, in_wheels, node_environment
 from gibson_sim.cli.processes import DomainLock
 from gibson_sim.errors import AlreadyRunningError, GibsonSimError
+from gibson_sim.resources import known_scenes
 
 Status = Literal["ok", "warn", "FAIL"]
 TIMEOUT_S = 60.0
@@ -49,7 +50,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Prints what was found; returns 1 if something fails."""
     findings = []
-    for check in (_python, _ros, _physics, _graphics, _dds, _shared_memory, _disk, _domain):
+    for check in (_python, _ros, _physics, _graphics, _dds, _shared_memory, _disk, _scenes, _domain):
         for finding in check():
             findings.append(finding)
             if not args.json:
@@ -188,6 +189,12 @@ def _disk() -> Iterator[Finding]:
             f"{free / 1000:.1f} GB free in {path}",
             "" if good else "a minute of raw 640x480 RGB and depth takes 4 GB",
         )
+
+
+def _scenes() -> Iterator[Finding]:
+    names = ", ".join(known_scenes())
+    remedy = "" if names else "reinstall, or set GIBSON_SIM_PATH to a folder that holds scenes/"
+    yield Finding("scenes", "ok" if names else "warn", f"{names or 'none'} (by name; any folder or file works too)", remedy)
 
 
 def _domain() -> Iterator[Finding]:

@@ -28,8 +28,6 @@ class NodeProcess:
     def __init__(self, name: str, config: Any, environment: Mapping[str, str], *, out: TextIO = sys.stderr) -> None:
         """Starts the node ``<name>_node`` with its settings."""
         self.name, self.config, self._environment, self._out = name, config, dict(environment), out
-        self.killed = False
-        """Whether it had to be killed, so that it could not clean up."""
         self._tail: deque[str] = deque(maxlen=20)
         command = [sys.executable, "-m", f"gibson_sim.ros.{name}_node", *node_arguments(config)]
         # A session of its own: Ctrl-C reaches the launcher alone, which then stops the nodes in order.
@@ -74,7 +72,6 @@ class NodeProcess:
         for number, seconds in GRACE_S:
             if self._process.poll() is not None:
                 break
-            self.killed = number == signal.SIGKILL
             self._process.send_signal(number)
             deadline = time.monotonic() + seconds
             while self._process.poll() is None and time.monotonic() < deadline and not hurry():

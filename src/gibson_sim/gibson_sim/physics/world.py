@@ -6,7 +6,6 @@ import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from types import TracebackType
 
 import numpy as np
@@ -19,7 +18,7 @@ from gibson_sim.robots.differential_drive import PlanarVelocity, WheelOdometry, 
 from gibson_sim.robots.rigid import RigidGroup, physics_urdf, rigid_groups
 from gibson_sim.robots.spec import DriveSpec, RobotSpec, Shape
 from gibson_sim.robots.urdf import UrdfModel, read_urdf
-from gibson_sim.scenes.mesh import MeshLoader
+from gibson_sim.scenes.mesh import MeshLoader, scene_roots
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import NS_PER_S, JointStates, Odometry, Pose, SceneState, VelocityCommand
 
@@ -206,8 +205,7 @@ class PhysicsWorld:
         scene = self._scene
         if scene.ground_z is not None:
             self._bullet.add_static(self._bullet.plane_shape(), Pose((0.0, 0.0, scene.ground_z)))
-        roots = [scene.root, *(Path(c.shape.mesh).parent for c in scene.collisions if c.shape.kind == "mesh")]
-        loader = MeshLoader(roots, textures=False)
+        loader = MeshLoader(scene_roots(scene), textures=False)
         known: dict[Shape, Sequence[int]] = {}
         for collision in scene.collisions:
             if collision.shape not in known:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError, RobotError
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, Mat4, matrix_from_pose, pose_from_matrix, pose_from_xyz_rpy
-from gibson_sim.resources import find_asset
+from gibson_sim.resources import find_robot
 from gibson_sim.robots.rigid import MOVING_TYPES
 from gibson_sim.robots.spec import DriveSpec, LidarSpec, RobotSpec, Shape, VisualSpec
 from gibson_sim.robots.urdf import UrdfModel, read_urdf
@@ -87,19 +87,12 @@ def _robot_file(path_or_name: Path | str, find: Callable[[str], Path] | None) ->
     path = Path(path_or_name)
     is_path = isinstance(path_or_name, Path) or path.suffix in (".yaml", ".yml") or len(path.parts) != 1
     if not is_path:
-        path = Path((find or _find_robot)(str(path_or_name)))
+        path = Path((find or find_robot)(str(path_or_name)))
     if path.is_dir():
         path = path / ROBOT_FILE
     if not path.is_file():
         raise RobotError(f"no robot at {path}; give a {ROBOT_FILE}, a folder with one, or the name of a known robot")
     return path.absolute()
-
-
-def _find_robot(name: str) -> Path:
-    try:
-        return find_asset("config/robots", name)
-    except ConfigError as error:
-        raise RobotError(str(error).replace("config/robot ", "robot ", 1)) from error
 
 
 def _read_yaml(path: Path) -> Any:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from array import array
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -285,7 +284,7 @@ def scan_to_msg(scan: Scan, frame_id: str, scan_time: float) -> LaserScan:
     msg = LaserScan(header=header_to_msg(scan.stamp_ns, frame_id))
     msg.angle_min = scan.angle_min
     msg.angle_increment = scan.angle_increment
-    msg.angle_max = scan.angle_min + scan.angle_increment * (len(scan.ranges) - 1)
+    msg.angle_max = scan.angle_max
     msg.time_increment = 0.0
     msg.scan_time = scan_time
     msg.range_min = scan.range_min
@@ -346,11 +345,6 @@ def array_from_image(msg: Image) -> NDArray[Any]:
     if msg.encoding == "32FC1":
         return np.frombuffer(msg.data, np.float32).reshape(msg.height, msg.step // 4)[:, : msg.width]
     raise SceneError(f"image has encoding {msg.encoding!r}, known: rgb8, 32FC1")
-
-
-def mesh_roots(scene: DrawnScene) -> tuple[Path, ...]:
-    """Returns the folders that the scene's meshes lie in."""
-    return tuple({Path(v.shape.mesh).parent for v in scene.visuals if v.shape.kind == "mesh"})
 
 
 def planar_from_odometry(msg: RosOdometry) -> tuple[float, float, float, int]:

@@ -10,7 +10,7 @@ import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -22,16 +22,6 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 _PR_SET_PDEATHSIG = 1
 PARENT_VARIABLE = "GIBSON_SIM_PARENT_PID"
 """Set by the launcher: the node ends when this process does, however it ends."""
-
-
-class SimNode(Protocol):
-    """What ``run_node`` needs of a node beside being one."""
-
-    def spin(self) -> int:
-        """Works until there is no more to do; returns the exit code."""
-
-    def close(self) -> None:
-        """Frees what the node holds; twice is fine."""
 
 
 def keep_large_blocks() -> None:
@@ -55,7 +45,10 @@ def end_with_parent() -> None:
 
 
 def run_node(make: Callable[[], Any], args: list[str] | None = None) -> None:
-    """Makes the node and spins it. Ends the process with 0, the node's code, or 1 and one line on stderr for a user's error."""
+    """Makes the node, calls its ``spin() -> exit code`` and, whatever happens, its ``close()``.
+
+    Ends the process with the node's code, or with 1 and one line on stderr for a user's error.
+    """
     logging.addLevelName(logging.WARNING, "WARN")  # as rclpy spells it
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(levelname)s %(message)s")
     end_with_parent()

@@ -67,17 +67,6 @@ def with_robots(scene: SceneSpec, robots: Iterable[RobotSpec]) -> SceneSpec:
     return dataclasses.replace(scene, robots=every)
 
 
-def scene_roots(scene: SceneSpec) -> tuple[Path, ...]:
-    """Returns the folders that meshes of the scene may lie in, for a ``MeshLoader``."""
-    robots = {robot.urdf.parent for robot in scene.robots}
-    meshes = {
-        Path(shape.mesh).parent
-        for shape in [v.shape for v in scene.visuals] + [c.shape for c in scene.collisions]
-        if shape.mesh and not Path(shape.mesh).is_relative_to(scene.root)
-    }
-    return (scene.root, *environment_folders(), *sorted(robots | meshes))
-
-
 def description_file(path: Path) -> Path:
     """Returns the file that describes a scene: the path itself, or the only world of the folder.
 

@@ -131,6 +131,15 @@ def load_shape(shape: Shape, allowed_roots: Sequence[Path]) -> Mesh:
     return MeshLoader(allowed_roots).shape(shape)
 
 
+def scene_roots(scene: SceneSpec) -> tuple[Path, ...]:
+    """Returns the folders that meshes of the scene may lie in, for a ``MeshLoader``.
+
+    Whoever loaded the scene has checked each path already, so the folders of the shapes themselves are among them.
+    """
+    shapes = [v.shape for v in scene.visuals] + [c.shape for c in scene.collisions]
+    return (scene.root, *sorted({Path(s.mesh).parent for s in shapes if s.kind == "mesh"}))
+
+
 def shape_triangles(loader: MeshLoader, collision: CollisionSpec) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Returns one collision shape in the world frame: vertices (V, 3), triangles (F, 3)."""
     vertices, triangles = loader.shape(collision.shape).merged()
@@ -139,9 +148,7 @@ def shape_triangles(loader: MeshLoader, collision: CollisionSpec) -> tuple[NDArr
 
 def collision_triangles(scene: SceneSpec, loader: MeshLoader | None = None) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Returns all static collision shapes as one mesh in the world frame: vertices (V, 3), triangles (F, 3)."""
-    # The loader of the scene has checked each path already; here the folders of the shapes themselves are enough.
-    roots = [scene.root, *(Path(c.shape.mesh).parent for c in scene.collisions if c.shape.kind == "mesh")]
-    used = loader or MeshLoader(roots, textures=False)
+    used = loader or MeshLoader(scene_roots(scene), textures=False)
     return merge([shape_triangles(used, collision) for collision in scene.collisions])
 
 

@@ -11,7 +11,7 @@ from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.floor_map import FloorMap, scene_floor_map
-from gibson_sim.scenes.load import load_scene
+from gibson_sim.scenes.load import load_scene, with_robots
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.scenes.tour import choose_start
 from gibson_sim.types import Pose
@@ -34,7 +34,7 @@ def populate(scene_name: str, robot_name: str, start: str = "") -> SceneSpec:
     """
     scene = load_scene(scene_name)
     robot = load_robot(robot_name)
-    return replace(scene, robots=(replace(robot, start=start_pose(scene, robot, start)),))
+    return with_robots(scene, [replace(robot, start=start_pose(scene, robot, start))])
 
 
 def start_pose(scene: SceneSpec, robot: RobotSpec, start: str) -> Pose:
