@@ -18,8 +18,9 @@ from gibson_sim.errors import CommandError, ConfigError
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
 Rgba = tuple[float, float, float, float]
-Output = Literal["rgb", "depth"]
-OUTPUTS: tuple[Output, ...] = ("rgb", "depth")
+Output = Literal["rgb", "depth", "semantic", "instance", "normal"]
+OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "semantic", "instance", "normal")
+DEFAULT_OUTPUTS: tuple[Output, ...] = ("rgb", "depth")
 NS_PER_S = 1_000_000_000
 
 
@@ -60,8 +61,8 @@ class CameraSpec:
     """Farthest depth reported, metres along the axis; beyond it depth is +inf (REP 117)."""
     rate_hz: float = 30.0
     """Images a second of simulation time."""
-    outputs: tuple[Output, ...] = OUTPUTS
-    """What to draw."""
+    outputs: tuple[Output, ...] = DEFAULT_OUTPUTS
+    """What to draw, all in one pass."""
 
     def __post_init__(self) -> None:
         what = f"camera {self.name!r}"
@@ -149,6 +150,12 @@ class Frame:
     """(height, width, 3) uint8, sRGB, or None if not asked for."""
     depth: NDArray[np.float32] | None = None
     """(height, width) float32, metres along the optical axis, +inf = nothing (REP 117/118), or None."""
+    semantic: NDArray[np.uint16] | None = None
+    """(height, width) uint16, index into the scene's semantic classes, 0 = nothing or unlabelled, or None."""
+    instance: NDArray[np.uint16] | None = None
+    """(height, width) uint16, index into the scene's instances, 0 = nothing, or None."""
+    normal: NDArray[np.float32] | None = None
+    """(height, width, 3) float32, unit normals in the optical frame, turned towards the camera, 0 = nothing, or None."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ world frame (link number 0), others in the frame of their link.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -27,11 +27,13 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 VERTEX = np.dtype(
-    [("position", "<f4", 3), ("normal", "<f4", 3), ("uv", "<f4", 2), ("color", "<f2", 4), ("surface", "u1", 4)]
+    [("position", "<f4", 3), ("normal", "<f4", 3), ("uv", "<f4", 2), ("color", "<f2", 4), ("surface", "u1", 4), ("label", "<u2", 2)]
 )  # fmt: skip
 CHUNK_TRIANGLES = 512
 BLEND_CHUNKS = 2048
 """Translucent batches are cut into about this many chunks or single triangles, since they are drawn in order of their distance."""
+MAX_LABEL = 2**16 - 1
+"""Greatest number of a semantic class or an instance."""
 SOLID_ALPHA = 0.9
 """Where a blended material has at least this alpha it is drawn as solid, so that it also has a depth."""
 
@@ -91,19 +93,25 @@ class _Pile:
         self.count += len(vertices)
 
 
-def build_batches(visuals: Iterable[VisualSpec], links: Sequence[str], loader: Loader) -> Batches:
+def build_batches(
+    visuals: Sequence[VisualSpec], links: Sequence[str], loader: Loader, labels: Sequence[tuple[int, int]] = ()
+) -> Batches:
     """Returns the triangles of all visuals; a visual that cannot be loaded is left out with a warning.
 
     Args:
         visuals: what to draw.
         links: names of the moving links, in the order of ``SceneState.links``.
         loader: returns the mesh of a shape, or raises a ``GibsonSimError``.
+        labels: semantic class and instance of each visual; empty = all 0.
     """
+    highest = max((max(label) for label in labels), default=0)
+    if highest > MAX_LABEL:
+        raise ConfigError(f"the scene has {highest} classes or instances, at most {MAX_LABEL} can be told apart in an image")
     link_numbers = {"": 0, **{name: i + 1 for i, name in enumerate(links)}}
     piles: dict[tuple[int, int, Kind], _Pile] = {}
     textures: dict[int, tuple[int, TextureSource]] = {}
     warnings: list[str] = []
-    for visual in visuals:
+    for visual, label in zip(visuals, labels or [(0, 0)] * len(visuals), strict=True):
         if visual.link not in link_numbers:
             warnings.append(f"visual {visual.name!r}: link {visual.link!r} is not in the scene; it is not drawn")
             continue
@@ -118,7 +126,7 @@ def build_batches(visuals: Iterable[VisualSpec], links: Sequence[str], loader: L
             texture = material.texture if part.uvs is not None else None
             number = -1 if texture is None else textures.setdefault(id(texture), (len(textures), texture))[0]
             key = (link_numbers[visual.link], number, _kind(material, texture))
-            vertices = _vertices(part, material, matrix_from_pose(visual.pose))
+            vertices = _vertices(part, material, matrix_from_pose(visual.pose), label)
             piles.setdefault(key, _Pile()).add(vertices, part.triangles)
     return _join(piles, [t for _, t in textures.values()], warnings)
 
@@ -143,7 +151,7 @@ def _solid_alpha(material: Material) -> float:
     return material.alpha_cutoff if material.alpha_mode == "mask" else SOLID_ALPHA
 
 
-def _vertices(part: MeshPart, material: Material, T_link_visual: F64) -> NDArray[np.void]:
+def _vertices(part: MeshPart, material: Material, T_link_visual: F64, label: tuple[int, int]) -> NDArray[np.void]:
     out = np.zeros(len(part.vertices), dtype=VERTEX)
     out["position"] = transform_points(T_link_visual, part.vertices)
     out["normal"] = part.normals @ T_link_visual[:3, :3].T
@@ -152,6 +160,7 @@ def _vertices(part: MeshPart, material: Material, T_link_visual: F64) -> NDArray
     linear = [linear_from_srgb(c) for c in material.base_color[:3]]
     out["color"] = (*linear, material.base_color[3])
     out["surface"] = (255 if material.unlit else 0, round(min(max(_solid_alpha(material), 0.0), 1.0) * 255.0), 0, 0)
+    out["label"] = label
     return out
 
 

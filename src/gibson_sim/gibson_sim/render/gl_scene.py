@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from dataclasses import dataclass
 from importlib.resources import files
 from itertools import groupby
 from typing import Any
@@ -16,6 +17,7 @@ from gibson_sim.geometry.projections import clip_from_optical, frustum_planes
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.render.batches import Batch, Batches, linear_from_srgb, visible_chunks
 from gibson_sim.render.context import GlContext
+from gibson_sim.render.readback import ATTACHMENT, Feature, features_of
 from gibson_sim.scenes.mesh_types import TextureSource
 from gibson_sim.scenes.spec import LightSpec
 from gibson_sim.types import CameraSpec
@@ -27,10 +29,10 @@ OPAQUE, CUT = 0, 1
 
 _SRGB8_ALPHA8, _FRAMEBUFFER_SRGB, _PRIMITIVE_RESTART = 0x8C43, 0x8DB9, 0x8F9D
 _LOWER_LEFT, _ZERO_TO_ONE, _GREATER, _TRIANGLES, _UNSIGNED_INT = 0x8CA1, 0x935F, 0x0204, 0x0004, 0x1405
-_COLOR_BUFFER, _DEPTH_BUFFER = 0x4000, 0x0100
+_COLOR, _DEPTH = 0x1800, 0x1801
 _DEPTH_TEST, _CULL_FACE, _BLEND, _SRC_ALPHA, _ONE_MINUS_SRC_ALPHA = 0x0B71, 0x0B44, 0x0BE2, 0x0302, 0x0303
-_VERTEX_FORMAT = "3f 3f 2f 4f2 4f1"
-_VERTEX_NAMES = ("in_position", "in_normal", "in_uv", "in_color", "in_surface")
+_VERTEX_FORMAT = "3f 3f 2f 4f2 4f1 2u2"
+_VERTEX_NAMES = ("in_position", "in_normal", "in_uv", "in_color", "in_surface", "in_label")
 
 
 def _shader(name: str) -> str:
@@ -51,18 +53,13 @@ class GlScene:
         gl = context.gl
         self._batches = batches
         self._cull = cull
+        self._gl: moderngl.Context = gl
+        self._light = light
+        self._passes: dict[tuple[Feature, ...], _Pass] = {}
         self._load_functions(context)
-        header = "#version 330 core\n"
-        vertex, fragment = (_shader(name) for name in ("scene.vert", "scene.frag"))
-        self.programs = tuple(
-            gl.program(vertex_shader=header + vertex, fragment_shader=header + define + fragment)
-            for define in ("", "#define CUT\n")
-        )
         # An empty buffer is an error; one vertex and one index that no chunk names are not.
         self._vertex_buffer = gl.buffer(batches.vertices.tobytes() or bytes(batches.vertices.dtype.itemsize))
         self._index_buffer = gl.buffer(batches.indices.tobytes() or bytes(4))
-        content = [(self._vertex_buffer, _VERTEX_FORMAT, *_VERTEX_NAMES)]
-        self._arrays = tuple(gl.vertex_array(p, content, self._index_buffer, skip_errors=True) for p in self.programs)
         self.texture_bytes = 0
         self.textures = [self._upload(gl, t) for t in batches.textures]
         white = TextureSource("", np.full((1, 1, 4), 255, dtype=np.uint8))
@@ -70,13 +67,26 @@ class GlScene:
         to_sun = -np.asarray(light.sun_direction, dtype=np.float64)
         self._to_sun = to_sun / max(float(np.linalg.norm(to_sun)), 1e-12)
         self._background = [linear_from_srgb(c) for c in light.background]
-        for program in self.programs:
-            program["u_sun"] = light.sun
-            program["u_ambient"] = light.ambient
-            program["u_texture"] = 0
+        self._pass(())  # the usual shaders now, so that the first image does not wait for them
+
+    def _pass(self, features: tuple[Feature, ...]) -> _Pass:
+        """Returns the programs that fill these further outputs; makes them at their first use."""
+        if features not in self._passes:
+            defines = "".join(f"#define {name}\n" for name in features)
+            programs = []
+            for cut in ("", "#define CUT\n"):
+                vertex, fragment = (f"#version 330 core\n{defines}{cut}{_shader(f'scene.{kind}')}" for kind in ("vert", "frag"))
+                programs.append(self._gl.program(vertex_shader=vertex, fragment_shader=fragment))
+                programs[-1]["u_sun"] = self._light.sun
+                programs[-1]["u_ambient"] = self._light.ambient
+                programs[-1]["u_texture"] = 0
+            content = [(self._vertex_buffer, _VERTEX_FORMAT, *_VERTEX_NAMES)]
+            arrays = [self._gl.vertex_array(p, content, self._index_buffer, skip_errors=True) for p in programs]
+            self._passes[features] = _Pass(features, tuple(programs), tuple(arrays))
+        return self._passes[features]
 
     def _load_functions(self, context: GlContext) -> None:
-        u, i, f, p = ctypes.c_uint, ctypes.c_int, ctypes.c_float, ctypes.c_void_p
+        u, i, p = ctypes.c_uint, ctypes.c_int, ctypes.c_void_p
         load = context.egl.function
         self._clip_control = load("glClipControl", None, u, u)
         self._enable = load("glEnable", None, u)
@@ -84,9 +94,9 @@ class GlScene:
         self._depth_func = load("glDepthFunc", None, u)
         self._depth_mask = load("glDepthMask", None, ctypes.c_ubyte)
         self._blend_func = load("glBlendFunc", None, u, u)
-        self._clear_color = load("glClearColor", None, f, f, f, f)
-        self._clear_depth = load("glClearDepth", None, ctypes.c_double)
-        self._clear = load("glClear", None, u)
+        self._clear_floats = load("glClearBufferfv", None, u, i, p)
+        self._clear_integers = load("glClearBufferuiv", None, u, i, p)
+        self._color_mask = load("glColorMaski", None, u, *[ctypes.c_ubyte] * 4)
         self._use_program = load("glUseProgram", None, u)
         self._bind_vertex_array = load("glBindVertexArray", None, u)
         # ModernGL has no call that draws many pieces of one index buffer at once from host memory.
@@ -109,14 +119,15 @@ class GlScene:
         return texture
 
     def draw(self, camera: CameraSpec, T_world_camera: Mat4, T_world_links: NDArray[np.float64]) -> None:
-        """Draws what a camera sees into the framebuffer that is bound.
+        """Draws what a camera sees into the framebuffer that is bound, with an attachment for each output of the camera.
 
         Args:
             camera: size, intrinsics, near.
             T_world_camera: (4, 4), optical frame.
             T_world_links: (L + 1, 4, 4): the identity for the world itself, then every link.
         """
-        self._begin()
+        passes = self._pass(features_of(camera.outputs))
+        self._begin(passes.features)
         if not self._batches.batches:
             return
         intrinsics = camera.intrinsics()
@@ -131,10 +142,12 @@ class GlScene:
         visible, distance = visible_chunks(self._batches, planes, T_camera_links, eyes)
         # The flip: optical y points down and clip y points up, so row 0 of the image comes first in OpenGL's bottom-up memory.
         clip_from_links = clip_from_optical(intrinsics, camera.width, camera.height, camera.near) @ T_camera_links
-        frames = _LinkFrames(clip_from_links, eyes, np.einsum("lji,j->li", rotations, self._to_sun), rotations[:, 2, :])
-        self._draw_chunks(visible, distance, frames)
+        frames = _LinkFrames(
+            clip_from_links, eyes, np.einsum("lji,j->li", rotations, self._to_sun), rotations[:, 2, :], R.T @ rotations
+        )
+        self._draw_chunks(visible, distance, _Drawer(self, passes, frames))
 
-    def _begin(self) -> None:
+    def _begin(self, features: tuple[Feature, ...]) -> None:
         self._clip_control(_LOWER_LEFT, _ZERO_TO_ONE)
         self._enable(_DEPTH_TEST)
         self._enable(_FRAMEBUFFER_SRGB)
@@ -142,17 +155,19 @@ class GlScene:
             self._disable(state)
         self._depth_func(_GREATER)
         self._depth_mask(1)
-        self._clear_color(*self._background, 1.0)
-        self._clear_depth(0.0)
-        self._clear(_COLOR_BUFFER | _DEPTH_BUFFER)
+        nothing = np.zeros(4, dtype=np.float32)
+        self._clear_floats(_DEPTH, 0, nothing.ctypes.data)
+        self._clear_floats(_COLOR, 0, np.array([*self._background, 1.0], dtype=np.float32).ctypes.data)
+        for feature in features:
+            clear = self._clear_integers if feature == "LABELS" else self._clear_floats
+            clear(_COLOR, ATTACHMENT[feature], nothing.ctypes.data)
 
-    def _draw_chunks(self, visible: NDArray[np.bool_], distance: NDArray[np.float64], frames: _LinkFrames) -> None:
+    def _draw_chunks(self, visible: NDArray[np.bool_], distance: NDArray[np.float64], drawer: _Drawer) -> None:
         """Draws solid things front to back, then what shines through, back to front and without depth."""
         batches = self._batches.batches
         # The order does not depend on what is visible, so culling cannot change a pixel.
         nearest = np.minimum.reduceat(distance, [b.first_chunk for b in batches])
         order = [batches[i] for i in np.argsort(nearest, kind="stable")]
-        drawer = _Drawer(self, frames)
         for kinds, variant in ((("opaque",), OPAQUE), (("mask", "blend"), CUT)):
             for batch in order:
                 if batch.kind in kinds:
@@ -173,63 +188,89 @@ class GlScene:
         self._enable(_BLEND)
         self._blend_func(_SRC_ALPHA, _ONE_MINUS_SRC_ALPHA)
         self._depth_mask(0)
+        self._mask_features(drawer.features, 0)  # labels and normals are those of the solid surface behind, as the depth is
         drawer.set_translucent(True)
         pieces.sort(key=lambda p: -float(distance[p[0]]))
         for batch, run in groupby(pieces, key=lambda p: p[1]):
             drawer.draw(batch, np.array([chunk for chunk, _ in run]), CUT)
         self._depth_mask(1)
+        self._mask_features(drawer.features, 1)
         self._disable(_BLEND)
 
-    def draw_elements(self, variant: int, chunks: NDArray[np.int64]) -> None:
+    def _mask_features(self, features: tuple[Feature, ...], write: int) -> None:
+        for feature in features:
+            self._color_mask(ATTACHMENT[feature], write, write, write, write)
+
+    def draw_elements(self, passes: _Pass, variant: int, chunks: NDArray[np.int64]) -> None:
         """Draws chunks with what is set."""
         counts = np.ascontiguousarray(self._batches.chunk_count[chunks])
         offsets = self._batches.chunk_first[chunks].astype(np.uintp) * self._batches.indices.itemsize
-        self._use_program(self.programs[variant].glo)
-        self._bind_vertex_array(self._arrays[variant].glo)
+        self._use_program(passes.programs[variant].glo)
+        self._bind_vertex_array(passes.arrays[variant].glo)
         self._multi_draw(_TRIANGLES, counts.ctypes.data, _UNSIGNED_INT, offsets.ctypes.data, len(chunks))
 
     def close(self) -> None:
         """Frees everything; a second call does nothing."""
-        handles: tuple[Any, ...] = (*self._arrays, self._vertex_buffer, self._index_buffer, *self.textures, *self.programs)
-        self._arrays, self.textures, self.programs = (), [], ()
+        arrays = [a for p in self._passes.values() for a in p.arrays]
+        programs = [program for p in self._passes.values() for program in p.programs]
+        handles: tuple[Any, ...] = (*arrays, self._vertex_buffer, self._index_buffer, *self.textures, *programs)
+        self._passes, self.textures = {}, []
         for handle in handles:
             handle.release()
+
+
+@dataclass(frozen=True, slots=True)
+class _Pass:
+    """The two programs that fill one set of outputs, and the vertex arrays that feed them."""
+
+    features: tuple[Feature, ...]
+    programs: tuple[moderngl.Program, ...]
+    arrays: tuple[moderngl.VertexArray, ...]
 
 
 class _LinkFrames:
     """What the shaders need to know of each link, ready to be sent."""
 
     def __init__(
-        self, clip: NDArray[np.float64], eyes: NDArray[np.float64], to_sun: NDArray[np.float64], up: NDArray[np.float64]
+        self,
+        clip: NDArray[np.float64],
+        eyes: NDArray[np.float64],
+        to_sun: NDArray[np.float64],
+        up: NDArray[np.float64],
+        optical: NDArray[np.float64],
     ) -> None:
         self.clip = np.ascontiguousarray(clip.transpose(0, 2, 1), dtype=np.float32)  # OpenGL takes columns
+        self.optical = np.ascontiguousarray(optical.transpose(0, 2, 1), dtype=np.float32)
         self.vectors = {"u_eye": eyes.astype(np.float32), "u_to_sun": to_sun.astype(np.float32), "u_up": up.astype(np.float32)}
 
 
 class _Drawer:
     """Sends draw calls for one image, and remembers what is set already."""
 
-    def __init__(self, scene: GlScene, frames: _LinkFrames) -> None:
-        self._scene, self._frames = scene, frames
+    def __init__(self, scene: GlScene, passes: _Pass, frames: _LinkFrames) -> None:
+        self._scene, self._passes, self._frames = scene, passes, frames
+        self.features = passes.features
         self._texture: int | None = None
         self._link_of: list[int | None] = [None, None]
         self.set_translucent(False)
 
     def set_translucent(self, translucent: bool) -> None:
         """Chooses which part of masked and blended surfaces is drawn: the solid one, or the one that shines through."""
-        self._scene.programs[CUT]["u_translucent"] = translucent
+        self._passes.programs[CUT]["u_translucent"] = translucent
 
     def draw(self, batch: Batch, chunks: NDArray[np.int64], variant: int) -> None:
         """Draws chunks of a batch with one of the two programs."""
         if not len(chunks):
             return
-        scene, program = self._scene, self._scene.programs[variant]
+        scene, program = self._scene, self._passes.programs[variant]
         if self._link_of[variant] != batch.link:
             self._link_of[variant] = batch.link
             program["u_clip_from_link"].write(self._frames.clip[batch.link])  # type: ignore[union-attr]
             for name, vectors in self._frames.vectors.items():
                 program[name].write(vectors[batch.link])  # type: ignore[union-attr]
+            if "NORMALS" in self.features:
+                program["u_optical_from_link"].write(self._frames.optical[batch.link])  # type: ignore[union-attr]
         if self._texture != batch.texture:
             self._texture = batch.texture
             scene.textures[batch.texture].use(0)
-        scene.draw_elements(variant, chunks)
+        scene.draw_elements(self._passes, variant, chunks)

@@ -16,7 +16,7 @@ from gibson_sim.geometry.transforms import Mat4, matrices_from_poses, matrix_fro
 from gibson_sim.render.batches import Loader, build_batches
 from gibson_sim.render.context import LIBRARY, GlContext, open_context
 from gibson_sim.render.gl_scene import GlScene
-from gibson_sim.render.readback import Target
+from gibson_sim.render.readback import Feature, Target, features_of
 from gibson_sim.scenes.mesh import MeshLoader
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.types import CameraSpec, Frame, SceneState
@@ -55,12 +55,13 @@ class Renderer:
     ) -> None:
         self._context: GlContext | None = None
         self._scene: GlScene | None = None
-        self._targets: dict[tuple[int, int], Target] = {}
+        self._targets: dict[tuple[int, int, tuple[Feature, ...]], Target] = {}
         self._thread = threading.get_ident()
         self._links, self._revision = tuple(scene.links), scene.revision
         try:
             self._context = open_context(device, library=library)
-            batches = build_batches(scene.visuals, self._links, loader or MeshLoader(_roots(scene, allowed_roots)).shape)
+            loader = loader or MeshLoader(_roots(scene, allowed_roots)).shape
+            batches = build_batches(scene.visuals, self._links, loader, scene.labels())
             self._scene = GlScene(self._context, batches, scene.light, cull=cull)
         except BaseException:
             self.close()
@@ -121,24 +122,29 @@ class Renderer:
 
     def _draw(self, state: SceneState, camera: CameraSpec, T_world_camera: Mat4, T_world_links: NDArray[np.float64]) -> Frame:
         assert self._scene is not None
-        target = self._target(camera.width, camera.height)
+        features = features_of(camera.outputs)
+        target = self._target(camera.width, camera.height, features)
         target.use()
         self._scene.draw(camera, T_world_camera, T_world_links)
+        semantic, instance = target.read_labels() if "LABELS" in features else (None, None)
         return Frame(
             camera,
             state.stamp_ns,
             T_world_camera,
             rgb=target.read_rgb() if "rgb" in camera.outputs else None,
             depth=target.read_depth(camera.near, camera.far) if "depth" in camera.outputs else None,
+            semantic=semantic if "semantic" in camera.outputs else None,
+            instance=instance if "instance" in camera.outputs else None,
+            normal=target.read_normals() if "NORMALS" in features else None,
         )
 
-    def _target(self, width: int, height: int) -> Target:
+    def _target(self, width: int, height: int, features: tuple[Feature, ...]) -> Target:
         assert self._context is not None
-        size = (width, height)
+        size = (width, height, features)
         if size not in self._targets:
             if len(self._targets) >= _MAX_TARGETS:
                 self._targets.pop(next(iter(self._targets))).close()
-            self._targets[size] = Target(self._context, width, height)
+            self._targets[size] = Target(self._context, width, height, features)
         return self._targets[size]
 
     def close(self) -> None:

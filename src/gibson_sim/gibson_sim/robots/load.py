@@ -20,7 +20,7 @@ from gibson_sim.resources import find_robot
 from gibson_sim.robots.rigid import MOVING_TYPES
 from gibson_sim.robots.spec import DriveSpec, LidarSpec, RobotSpec, Shape, VisualSpec
 from gibson_sim.robots.urdf import UrdfModel, read_urdf
-from gibson_sim.types import OUTPUTS, CameraSpec, Pose, Vec3
+from gibson_sim.types import DEFAULT_OUTPUTS, OUTPUTS, CameraSpec, Pose, Vec3
 
 logger = logging.getLogger(__name__)
 
@@ -233,7 +233,7 @@ def _camera(settings: _Settings, model: UrdfModel, name: str) -> CameraSpec:
     numbers: dict[str, Any] = {**settings.integers(("width", "height")), **settings.numbers(("near", "far", "rate_hz"))}
     if "fov_y_deg" in settings.values:
         numbers["fov_y"] = math.radians(settings.number("fov_y_deg"))
-    outputs = settings.values.get("outputs", list(OUTPUTS))
+    outputs = settings.values.get("outputs", list(DEFAULT_OUTPUTS))
     if not isinstance(outputs, list) or not all(isinstance(item, str) for item in outputs):
         raise RobotError(f"{settings.where}: outputs is {outputs!r}, must be a list of {', '.join(OUTPUTS)}")
     pose = _camera_pose(settings, link)

@@ -92,6 +92,21 @@ class DrawnScene:
         """Class names in alphabetical order after ``unlabelled``: the index is the class."""
         return (UNLABELLED, *sorted({v.semantic_class for v in self.visuals} - {"", UNLABELLED}))
 
+    @property
+    def instances(self) -> tuple[str, ...]:
+        """Names of the things that can be told apart, after ``""``: static visuals, and moving bodies as wholes."""
+        return ("", *dict.fromkeys(_instance(v) for v in self.visuals))
+
+    def labels(self) -> tuple[tuple[int, int], ...]:
+        """Returns (semantic class, instance) of every visual, as indices into the two lists above."""
+        classes = {name: i for i, name in enumerate(self.semantic_classes)}
+        instances = {name: i for i, name in enumerate(self.instances)}
+        return tuple((classes.get(v.semantic_class, 0), instances[_instance(v)]) for v in self.visuals)
+
+
+def _instance(visual: VisualSpec) -> str:
+    return visual.link.partition("/")[0] if visual.link else visual.name
+
 
 def drawn_scene(scene: SceneSpec, links: tuple[str, ...]) -> DrawnScene:
     """Returns what a renderer needs of ``scene``, whose moving links are ``links``."""
