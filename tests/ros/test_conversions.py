@@ -83,6 +83,24 @@ def test_frame_becomes_images_whose_bytes_stamp_and_frame_are_its_own() -> None:
     np.testing.assert_array_equal(c.array_from_image(msgs["rgb"]), rgb)
 
 
+def test_labels_and_normals_become_images_that_read_back_the_same() -> None:
+    camera = CameraSpec("cam", "robot/eye", width=3, height=2, outputs=("semantic", "instance", "normal"))
+    labels = np.array([[0, 1, 65535], [2, 3, 4]], dtype=np.uint16)
+    normals = np.linspace(-1.0, 1.0, 18, dtype=np.float32).reshape(2, 3, 3)
+    msgs = c.frame_to_image_msgs(Frame(camera, 1, np.eye(4), semantic=labels, instance=labels + np.uint16(0), normal=normals))
+    assert set(msgs) == {"semantic", "instance", "normal", "semantic_info", "instance_info", "normal_info"}
+    assert (msgs["semantic"].encoding, msgs["semantic"].step) == ("16UC1", 6)
+    assert (msgs["normal"].encoding, msgs["normal"].step) == ("32FC3", 36)
+    np.testing.assert_array_equal(c.array_from_image(msgs["instance"]), labels)
+    np.testing.assert_array_equal(c.array_from_image(msgs["normal"]), normals)
+
+
+def test_scene_message_names_classes_and_instances_in_the_order_of_their_numbers() -> None:
+    msg = c.scene_to_msg(_scene(), 5)
+    assert list(msg.semantic_classes) == ["unlabelled", "wall"]
+    assert list(msg.instances) == ["", "wall", "robot"]
+
+
 def test_camera_info_holds_the_intrinsics_of_the_spec() -> None:
     info = c.camera_info_to_msg(CameraSpec("cam", "l", width=640, height=480, fov_y=math.pi / 2), 0)
     np.testing.assert_allclose(info.k, [240, 0, 319.5, 0, 240, 239.5, 0, 0, 1])

@@ -27,6 +27,10 @@ from rosbags.highlevel import AnyReader  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Image, JointState, LaserScan  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
+from gibson_msgs.msg import Scene  # noqa: E402
+from gibson_sim.ros.conversions import array_from_image  # noqa: E402
+from gibson_sim.types import OUTPUTS  # noqa: E402
+
 pytestmark = pytest.mark.ros
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 CLIENT = Path(__file__).with_name("standard_client.py")
@@ -34,7 +38,7 @@ CLIENT = Path(__file__).with_name("standard_client.py")
 
 @pytest.fixture(scope="module")
 def sim(ros_domain: int) -> Iterator[Launched]:
-    launched = Launched("run", "--camera-rate", "10")
+    launched = Launched("run", "--camera-rate", "10", "--camera-outputs", "rgb,depth,semantic,instance,normal")
     launched.wait_for_line("triangles")
     yield launched
     assert launched.stop() == 0, "\n".join(launched.lines)
@@ -74,6 +78,21 @@ def test_images_carry_the_stamp_of_an_odometry_and_of_their_camera_info(sim: Lau
     assert {m.header.frame_id for m in rgb + depth + info} == {"camera_optical_frame"}
     assert (rgb[0].encoding, depth[0].encoding) == ("rgb8", "32FC1")
     assert len(rgb[0].data) == 640 * 480 * 3
+
+
+def test_label_images_hold_numbers_that_the_scene_names(sim: Launched, listener: Listener) -> None:
+    scenes = listener.collect(Scene, "scene", LATCHED)
+    semantic = listener.collect(Image, "camera/semantic/image_raw", qos_profile_sensor_data)
+    instance = listener.collect(Image, "camera/instance/image_raw", qos_profile_sensor_data)
+    normal = listener.collect(Image, "camera/normal/image_raw", qos_profile_sensor_data)
+    listener.spin_until(lambda: bool(scenes and semantic and instance and normal), "labels, normals and the scene")
+    classes = {scenes[0].semantic_classes[i] for i in np.unique(array_from_image(semantic[0]))}
+    assert {"wall", "floor"} <= classes
+    instances = {scenes[0].instances[i] for i in np.unique(array_from_image(instance[0]))}
+    assert {"walls", "floors"} <= instances
+    lengths = np.linalg.norm(array_from_image(normal[0]), axis=2)
+    assert np.allclose(lengths[lengths > 0], 1.0, atol=1e-3)
+    assert {m.header.frame_id for m in (semantic[0], instance[0], normal[0])} == {"camera_optical_frame"}
 
 
 def test_late_joiner_gets_the_static_transforms(sim: Launched, listener: Listener) -> None:
@@ -168,6 +187,7 @@ def test_snapshot_writes_colour_and_depth_of_every_camera(sim: Launched, tmp_pat
     assert taken.wait() == 0, "\n".join(taken.lines)
     rgb = cv2.imread(str(tmp_path / "shots" / "camera_rgb.png"))
     depth = cv2.imread(str(tmp_path / "shots" / "camera_depth.png"), cv2.IMREAD_UNCHANGED)
+    assert {p.stem for p in (tmp_path / "shots").iterdir()} == {f"camera_{output}" for output in OUTPUTS}
     assert rgb.shape == (480, 640, 3)
     assert rgb.std() > 5
     assert (depth.shape, depth.dtype) == ((480, 640), np.uint16)
@@ -203,12 +223,12 @@ def test_keyboard_without_a_terminal_says_what_to_do(sim: Launched) -> None:
 
 
 def test_record_beside_a_running_simulation_ends_after_its_duration(sim: Launched, tmp_path: Path) -> None:
-    recorder = Launched("record", str(tmp_path / "bag"), "--topics", "odom,clock,camera/camera_info", "--duration", "2")
+    recorder = Launched("record", str(tmp_path / "bag"), "--topics", "odom,clock,camera/camera_info", "--duration", "6")
     assert recorder.wait() == 0, "\n".join(recorder.lines)
     with AnyReader([tmp_path / "bag"]) as reader:
         counts = {c.topic: c.msgcount for c in reader.connections}
     assert set(counts) == {"/odom", "/clock", "/camera/camera_info"}
-    assert 60 < counts["/odom"] <= 130, "two seconds at 60 Hz, less what passed until the topic was found"
+    assert 60 < counts["/odom"] <= 370, "six seconds at 60 Hz, less what passed until the topic was found"
 
 
 def test_render_node_that_is_killed_comes_back_and_images_go_on(sim: Launched, listener: Listener) -> None:

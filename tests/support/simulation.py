@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 """How long anything may take before a test calls it missing; never how long it should take."""
 
 

@@ -47,6 +47,13 @@ def test_rates_that_do_not_divide_are_refused() -> None:
         PhysicsConfig(publish_hz=50)
 
 
+def test_camera_outputs_come_in_the_order_of_the_renderer() -> None:
+    assert PhysicsConfig(camera_outputs="depth, rgb").wanted_outputs() == ("rgb", "depth")
+    assert PhysicsConfig().wanted_outputs() == ()
+    with pytest.raises(ConfigError, match="has smell; must be of rgb, depth, semantic, instance, normal"):
+        PhysicsConfig(camera_outputs="rgb,smell")
+
+
 def test_wait_for_reads_topics_and_counts() -> None:
     assert PhysicsConfig(wait_for="scene_state:2,odom:1").wanted_subscribers() == {"scene_state": 2, "odom": 1}
     with pytest.raises(ConfigError, match="must be topic:count"):

@@ -11,6 +11,7 @@ from dataclasses import Field, dataclass, field, fields
 from typing import Any, ClassVar, Protocol
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.types import OUTPUTS, Output
 
 Value = bool | int | float | str
 
@@ -81,6 +82,9 @@ class PhysicsConfig:
     camera_rate: float = setting(
         0.0, "Images a second for every camera; 0 = as the robot's file says", unit="Hz", minimum=0.0, maximum=1000.0
     )
+    camera_outputs: str = setting(
+        "", f"What every camera draws, separated by commas: {', '.join(OUTPUTS)}; empty = as the robot's file says"
+    )
     wait_for: str = setting(
         "", "Hold the first tick until topics have so many subscribers, e.g. `scene_state:1,cameras:1` (120 s at most)"
     )
@@ -97,7 +101,16 @@ class PhysicsConfig:
             raise ConfigError(
                 f"setting 'camera_rate' is {self.camera_rate:g} Hz, must be at most 'publish_hz', {self.publish_hz} Hz"
             )
+        self.wanted_outputs()
         self.wanted_subscribers()
+
+    def wanted_outputs(self) -> tuple[Output, ...]:
+        """Returns the outputs in ``camera_outputs``."""
+        names = [part.strip() for part in self.camera_outputs.split(",") if part.strip()]
+        unknown = [name for name in names if name not in OUTPUTS]
+        if unknown:
+            raise ConfigError(f"setting 'camera_outputs' has {', '.join(unknown)}; must be of {', '.join(OUTPUTS)}")
+        return tuple(output for output in OUTPUTS if output in names)
 
     def wanted_subscribers(self) -> dict[str, int]:
         """Returns how many subscribers each topic of ``wait_for`` must have."""

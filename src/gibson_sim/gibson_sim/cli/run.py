@@ -48,6 +48,7 @@ def add_parser(subparsers: Any) -> None:
             "clock_hz",
             "publish_hz",
             "camera_rate",
+            "camera_outputs",
             "cmd_vel_timeout",
             "publish_map_tf",
         ),

@@ -31,6 +31,7 @@ from gibson_sim.types import (
     Frame,
     JointStates,
     Odometry,
+    Output,
     Pose,
     SceneState,
     Vec3,
@@ -43,6 +44,15 @@ _SHAPES: dict[ShapeKind, int] = {
     "sphere": RosVisual.SHAPE_SPHERE,
     "cylinder": RosVisual.SHAPE_CYLINDER,
 }
+ENCODINGS: dict[Output, str] = {"rgb": "rgb8", "depth": "32FC1", "semantic": "16UC1", "instance": "16UC1", "normal": "32FC3"}
+"""How the pixels of each output are written in an image message."""
+_PIXELS: dict[str, tuple[type[np.generic], int]] = {
+    "rgb8": (np.uint8, 3),
+    "32FC1": (np.float32, 1),
+    "16UC1": (np.uint16, 1),
+    "32FC3": (np.float32, 3),
+}
+"""Encoding -> type and number of channels."""
 _SHAPE_KINDS = {number: kind for kind, number in _SHAPES.items()}
 
 
@@ -117,6 +127,7 @@ def scene_to_msg(scene: DrawnScene, stamp_ns: int) -> RosScene:
         visuals=[_visual_to_msg(v, link_index[v.link], class_index[v.semantic_class]) for v in scene.visuals],
         cameras=[_camera_to_msg(c, link_index[c.link]) for c in scene.cameras],
         semantic_classes=list(scene.semantic_classes),
+        instances=list(scene.instances),
         sun_direction=_vector_to_msg(light.sun_direction),
         sun=light.sun,
         ambient=light.ambient,
@@ -327,24 +338,22 @@ def frame_to_image_msgs(frame: Frame) -> dict[str, Image | CameraInfo]:
     """Returns the messages of a frame by what they carry (see ``names.camera_topics``), all with the frame's stamp."""
     camera, stamp = frame.camera, frame.stamp_ns
     msgs: dict[str, Image | CameraInfo] = {}
-    if frame.rgb is not None:
-        msgs["rgb"] = image_to_msg(frame.rgb, "rgb8", stamp, camera.optical_frame)
-    if frame.depth is not None:
-        msgs["depth"] = image_to_msg(frame.depth, "32FC1", stamp, camera.optical_frame)
+    for output, encoding in ENCODINGS.items():
+        pixels = getattr(frame, output)
+        if pixels is not None:
+            msgs[output] = image_to_msg(pixels, encoding, stamp, camera.optical_frame)
     info = camera_info_to_msg(camera, stamp)
     msgs.update({f"{kind}_info": info for kind in tuple(msgs)})
     return msgs
 
 
 def array_from_image(msg: Image) -> NDArray[Any]:
-    """Returns the pixels of an ``rgb8`` image, (H, W, 3) uint8, or of a ``32FC1`` image, (H, W) float32."""
-    if msg.encoding == "rgb8":
-        return (
-            np.frombuffer(msg.data, np.uint8).reshape(msg.height, msg.step)[:, : msg.width * 3].reshape(msg.height, msg.width, 3)
-        )
-    if msg.encoding == "32FC1":
-        return np.frombuffer(msg.data, np.float32).reshape(msg.height, msg.step // 4)[:, : msg.width]
-    raise SceneError(f"image has encoding {msg.encoding!r}, known: rgb8, 32FC1")
+    """Returns the pixels of an image in one of our encodings, (H, W) or (H, W, 3); they share the message's memory."""
+    if msg.encoding not in _PIXELS:
+        raise SceneError(f"image has encoding {msg.encoding!r}, known: {', '.join(_PIXELS)}")
+    kind, channels = _PIXELS[msg.encoding]
+    rows = np.frombuffer(msg.data, kind).reshape(msg.height, -1)[:, : msg.width * channels]
+    return rows if channels == 1 else rows.reshape(msg.height, msg.width, channels)
 
 
 def planar_from_odometry(msg: RosOdometry) -> tuple[float, float, float, int]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from gibson_sim.types import OUTPUTS
+
 CLOCK = "/clock"
 TF = "/tf"
 TF_STATIC = "/tf_static"
@@ -19,10 +21,10 @@ ODOM_FRAME = "odom"
 
 
 def camera_topics(camera: str) -> dict[str, str]:
-    """Returns the topics of a camera by what they carry."""
-    return {
-        "rgb": f"{camera}/image_raw",
-        "rgb_info": f"{camera}/camera_info",
-        "depth": f"{camera}/depth/image_raw",
-        "depth_info": f"{camera}/depth/camera_info",
-    }
+    """Returns the topics of a camera by what they carry: each output, and under ``<output>_info`` its camera_info."""
+    topics: dict[str, str] = {}
+    for output in OUTPUTS:
+        folder = camera if output == "rgb" else f"{camera}/{output}"
+        topics[output] = f"{folder}/image_raw"
+        topics[f"{output}_info"] = f"{folder}/camera_info"
+    return topics

@@ -71,7 +71,7 @@ class PhysicsNode(Node):
         self._world: PhysicsWorld | None = None
         self._stamped: _StampedCommands | None = None
         self._config = config = config_from_parameters(self, PhysicsConfig)
-        self._scene = scene = _scene_with_camera_rate(populate(config.scene, config.robot, config.start), config.camera_rate)
+        self._scene = scene = _with_camera_settings(populate(config.scene, config.robot, config.start), config)
         self._refuse_second_simulation(own=0)
         self._robot: RobotSpec = scene.robots[0]
         self._world = PhysicsWorld(scene, step_hz=config.step_hz, cmd_vel_timeout=config.cmd_vel_timeout)
@@ -323,11 +323,14 @@ def _link_name(name: str) -> str:
     return name.rpartition("/")[2]
 
 
-def _scene_with_camera_rate(scene: SceneSpec, rate_hz: float) -> SceneSpec:
-    """Returns the scene with every camera at ``rate_hz``, or as it is where that is 0."""
-    if not rate_hz:
-        return scene
-    robots = tuple(replace(r, cameras=tuple(replace(c, rate_hz=rate_hz) for c in r.cameras)) for r in scene.robots)
+def _with_camera_settings(scene: SceneSpec, config: PhysicsConfig) -> SceneSpec:
+    """Returns the scene with the rate and the outputs that the settings ask of every camera."""
+    changes: dict[str, Any] = {}
+    if config.camera_rate:
+        changes["rate_hz"] = config.camera_rate
+    if outputs := config.wanted_outputs():
+        changes["outputs"] = outputs
+    robots = tuple(replace(r, cameras=tuple(replace(c, **changes) for c in r.cameras)) for r in scene.robots)
     return replace(scene, robots=robots)
 
 

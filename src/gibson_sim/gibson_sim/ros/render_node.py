@@ -37,7 +37,9 @@ class RenderNode(Node):
 
     Publishes, for each camera, with the stamp of the state drawn, in the frame ``<camera>_optical_frame``:
         <camera>/image_raw (sensor_msgs/Image rgb8), <camera>/camera_info (sensor_msgs/CameraInfo),
-        <camera>/depth/image_raw (sensor_msgs/Image 32FC1, metres along the axis, +inf = nothing), <camera>/depth/camera_info.
+        <camera>/depth/image_raw (sensor_msgs/Image 32FC1, metres along the axis, +inf = nothing), <camera>/depth/camera_info;
+        where the camera has these outputs: <camera>/semantic/image_raw and <camera>/instance/image_raw (16UC1, numbers into the
+        scene's lists), <camera>/normal/image_raw (32FC3, optical frame, 0 = nothing), each with its camera_info.
         /diagnostics (diagnostic_msgs/DiagnosticArray): images a second, skipped, milliseconds to draw; once a second.
     """
 

@@ -27,7 +27,9 @@ from gibson_sim.ros.params import config_from_parameters
 class SnapshotNode(Node):
     """Waits for the scene, takes the next image of every camera, writes it and ends.
 
-    ``<camera>_rgb.png`` is 8-bit colour; ``<camera>_depth.png`` is 16-bit, millimetres, 0 = nothing or beyond 65.5 m (REP 118).
+    ``<camera>_rgb.png`` is 8-bit colour; ``<camera>_depth.png`` is 16-bit, millimetres, 0 = nothing or beyond 65.5 m (REP 118);
+    ``<camera>_semantic.png`` and ``_instance.png`` are 16-bit numbers, as /scene names them; ``_normal.png`` has x, y, z of -1 to 1
+    as red, green, blue of 0 to 255.
 
     Parameters: the fields of ``gibson_sim.config.SnapshotConfig``.
     """
@@ -80,9 +82,12 @@ class SnapshotNode(Node):
 
 
 def png_pixels(pixels: NDArray[Any]) -> NDArray[Any]:
-    """Returns what to write as PNG: BGR uint8 of an RGB image, millimetres uint16 of a depth image in metres."""
-    if pixels.dtype == np.uint8:
-        return np.ascontiguousarray(pixels[:, :, ::-1])
+    """Returns what to write as PNG: BGR uint8 of colours and of normals, uint16 of labels and of depth, in millimetres."""
+    if pixels.dtype == np.uint16:
+        return pixels
+    if pixels.ndim == 3:
+        colors = pixels if pixels.dtype == np.uint8 else np.rint(127.5 * (pixels + 1.0)).astype(np.uint8)
+        return np.ascontiguousarray(colors[:, :, ::-1])
     millimetres = np.nan_to_num(pixels * 1000.0, nan=0.0, posinf=0.0, neginf=0.0).round()
     millimetres[(millimetres < 0) | (millimetres > 65535)] = 0
     return millimetres.astype(np.uint16)
