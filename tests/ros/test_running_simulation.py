@@ -176,10 +176,15 @@ def test_second_simulation_in_the_domain_is_refused(sim: Launched) -> None:
     assert sim.process.poll() is None
 
 
-def test_physics_node_started_by_hand_refuses_too(sim: Launched) -> None:
+def test_physics_node_started_by_hand_refuses_too_and_disturbs_nothing(sim: Launched, listener: Listener) -> None:
+    reloads = sum("triangles" in line for line in sim.lines)
     done = subprocess.run([sys.executable, "-m", "gibson_sim.ros.physics_node"], capture_output=True, text=True, check=False)
     assert done.returncode == 1
+    assert sum("triangles" in line for line in sim.lines) == reloads, "the renderer took up another scene"
     assert "another node publishes /clock in this ROS domain" in done.stderr
+    scenes = listener.collect(Scene, "scene", LATCHED)
+    listener.spin_until(lambda: bool(scenes), "the scene")
+    assert len(scenes[0].cameras[0].outputs) == 5, "it must not replace the scene of the one that runs"
 
 
 def test_snapshot_writes_colour_and_depth_of_every_camera(sim: Launched, tmp_path: Path) -> None:

@@ -34,13 +34,17 @@ def keep_large_blocks() -> None:
         logging.getLogger(__name__).debug("no glibc mallopt here; large messages are a little slower")
 
 
+def started_by_launcher() -> bool:
+    """Returns whether ``gibson-sim run`` started this process."""
+    return bool(os.environ.get(PARENT_VARIABLE))
+
+
 def end_with_parent() -> None:
     """Asks the kernel to end this process when the launcher that started it is gone."""
-    parent = os.environ.get(PARENT_VARIABLE, "")
-    if not parent:
+    if not started_by_launcher():
         return
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-    if os.getppid() != int(parent):  # it went before we asked
+    if os.getppid() != int(os.environ[PARENT_VARIABLE]):  # it went before we asked
         sys.exit(1)
 
 

@@ -28,7 +28,7 @@ from gibson_sim.geometry.transforms import invert, matrices_from_poses, matrix_f
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.ros import conversions, names, qos
-from gibson_sim.ros.node_main import run_node, write_summary
+from gibson_sim.ros.node_main import run_node, started_by_launcher, write_summary
 from gibson_sim.ros.pacing import Pacer
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.scenes.placement import populate
@@ -39,8 +39,8 @@ from gibson_sim.types import NS_PER_S, SceneState as State
 
 logger = logging.getLogger(__name__)
 WAIT_LIMIT_S = 120.0
-DISCOVERY_S = 10.0
-"""Within so long a new participant has heard of all others, even on a busy machine (usually within 3 s)."""
+DISCOVERY_S, LATE_DISCOVERY_S = 3.0, 10.0
+"""Within so long a new participant has heard of the others: usually, and on a busy machine."""
 
 
 class PhysicsNode(Node):
@@ -72,7 +72,7 @@ class PhysicsNode(Node):
         self._stamped: _StampedCommands | None = None
         self._config = config = config_from_parameters(self, PhysicsConfig)
         self._scene = scene = _with_camera_settings(populate(config.scene, config.robot, config.start), config)
-        self._refuse_second_simulation(own=0)
+        self._look_for_others()
         self._robot: RobotSpec = scene.robots[0]
         self._world = PhysicsWorld(scene, step_hz=config.step_hz, cmd_vel_timeout=config.cmd_vel_timeout)
         self._base_frame = self._robot.base_link
@@ -89,6 +89,17 @@ class PhysicsNode(Node):
             f"scene {scene.name}: {len(scene.visuals)} visuals, {len(scene.collisions)} collision shapes; "
             f"{self._robot.name} at {self._robot.start.position[0]:.2f},{self._robot.start.position[1]:.2f}"
         )
+
+    def _look_for_others(self) -> None:
+        """Refuses before anything is published: a second scene would replace the first one in its renderers.
+
+        The launcher keeps a lock on the domain, so a node that it started need not wait for what discovery brings.
+        """
+        deadline = time.monotonic() + (0.0 if started_by_launcher() else DISCOVERY_S)
+        self._refuse_second_simulation(own=0)
+        while time.monotonic() < deadline:
+            time.sleep(0.05)
+            self._refuse_second_simulation(own=0)
 
     def _refuse_second_simulation(self, own: int) -> None:
         """Two sources of /clock make time jump to and fro for everybody: the younger one, with ``own`` publishers, gives way."""
@@ -151,7 +162,7 @@ class PhysicsNode(Node):
         period = 1.0 / (self._config.clock_hz * self._config.rate) if self._config.rate else 1e-5
         self.create_timer(min(period, 0.01), tick, clock=steady)
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
-        self._young_until = time.monotonic() + DISCOVERY_S
+        self._young_until = time.monotonic() + LATE_DISCOVERY_S
         self.create_timer(0.2, self._give_way_while_young, clock=steady)
         self._last_report = (time.monotonic_ns(), self.world.stamp_ns)
         try:
