@@ -35,8 +35,6 @@ setup(
         "scipy",
         "opencv-python-headless",
         "trimesh",
-        "pillow",
-        "pycollada",
         "moderngl",
         "PyYAML",
         "pybullet",

@@ -15,7 +15,7 @@ import pytest
 from support.simulation import require
 
 PACKAGE_XML = ("src/gibson_sim/package.xml", "src/gibson_msgs/package.xml")
-PACKAGE_OF = {"cv2": "opencv-python-headless", "yaml": "PyYAML", "PIL": "pillow", "collada": "pycollada"}
+PACKAGE_OF = {"cv2": "opencv-python-headless", "yaml": "PyYAML"}
 ROS_MODULES = {"rclpy", "ament_index_python", "launch", "launch_ros", "rpyutils"}
 EXACT = re.compile(r"[a-z0-9-]+==[0-9][0-9.]*( ; python_version (<|>=) \"3\.\d+\")?")
 
