@@ -12,6 +12,7 @@
         GraphicsUnavailableError   no EGL, no usable device
         SceneMismatchError         a state belongs to another scene than the one loaded
       RecordError                  a bag cannot be written or read
+        bags.writer.DiskFullError  the disk is full; the bag holds everything up to there
       EnvironmentProblemError      ROS, Python or the machine lacks something; the text names the remedy
       AlreadyRunningError          another simulation owns this ROS domain
 
