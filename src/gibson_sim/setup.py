@@ -40,10 +40,11 @@ setup(
         "pybullet",
         "rosbags",
         "mcap",
+        "meshoptimizer",
         "zstandard",
         "av",
     ],
-    extras_require={"test": ["pytest", "hypothesis"]},
+    extras_require={"test": ["pytest", "hypothesis"], "cuda": ["cuda-bindings>=12.6"], "torch": ["torch>=2.3"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
         ("share/" + NAME, ["package.xml"]),

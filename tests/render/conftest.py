@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Iterator
 
 import pytest
 
-from gibson_sim.errors import GraphicsUnavailableError
-from gibson_sim.render.context import open_context
+from gibson_sim.errors import GibsonSimError, GraphicsUnavailableError
+from gibson_sim.render.context import GlContext, list_devices, open_context
+from gibson_sim.render.cuda import CudaPython
 
 
 @pytest.fixture(scope="session")
@@ -22,3 +24,25 @@ def egl() -> None:
         message = f"SKIPPED: {e}"
         warnings.warn(message, stacklevel=2)
         pytest.skip(message)
+
+
+@pytest.fixture
+def nvidia() -> Iterator[tuple[GlContext, CudaPython]]:
+    """OpenGL and CUDA on one GPU; skips, loudly, where there is none; fails instead where ``GIBSON_REQUIRE`` names gpu."""
+    context: GlContext | None = None
+    try:
+        gpus = [d.index for d in list_devices() if d.usable and "nvidia" in d.vendor.lower()]
+        if not gpus:
+            raise GraphicsUnavailableError("EGL shows no NVIDIA GPU")
+        context = open_context(gpus[0])
+        driver = CudaPython()
+    except GibsonSimError as e:
+        if context is not None:
+            context.close()
+        if "gpu" in os.environ.get("GIBSON_REQUIRE", ""):
+            pytest.fail(f"GIBSON_REQUIRE names gpu: {e}")
+        message = f"SKIPPED: {e}"
+        warnings.warn(message, stacklevel=2)
+        pytest.skip(message)
+    yield context, driver
+    context.close()

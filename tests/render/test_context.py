@@ -65,3 +65,15 @@ def test_a_context_may_be_closed_twice():
     context = open_context()
     context.close()
     context.close()
+
+
+@pytest.mark.egl
+@pytest.mark.usefixtures("egl")
+def test_a_device_is_opened_by_its_uuid_as_well_as_by_its_number() -> None:
+    device = next(d for d in list_devices() if d.usable)
+    if not device.uuid or [d.uuid for d in list_devices()].count(device.uuid) > 1:
+        pytest.skip("the drivers here give their devices no UUIDs of their own")
+    for wanted in (device.index, str(device.index), device.uuid, f"GPU-{device.uuid}", device.uuid[:13]):
+        context = open_context(wanted)
+        assert (context.device.index, context.device.uuid) == (device.index, device.uuid)
+        context.close()

@@ -99,7 +99,7 @@ def test_faces_of_a_box_turned_differently_to_the_sun_differ_in_brightness():
     # The sun stands above, before -x, and a bit to -y.
     frame = draw(box((0.0, 0.0, 0.0)), camera=camera, light=LightSpec(sun_direction=(0.5, 0.2, -0.8)))
     faces = [(0.0, 0.0, 0.5), (-0.5, 0.0, 0.0), (0.0, -0.5, 0.0)]
-    pixels, _ = project(transform_points(invert(matrix_from_pose(camera.pose)), faces), camera.intrinsics())
+    pixels, _ = project(transform_points(invert(matrix_from_pose(camera.pose)), faces), camera)
     top, front, side = (int(frame.rgb[round(v), round(u), 0]) for u, v in pixels)
     assert top > front + 5
     assert front > side + 5

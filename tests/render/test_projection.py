@@ -91,7 +91,7 @@ def test_a_camera_with_any_pose_sees_a_point_where_it_projects():
     camera = eye_at((-2.0, 1.5, 1.2), look_at=(1.0, 0.3, 0.1))
     points = [(1.0, 1.0, 0.6), (0.7, -0.6, -0.4)]
     frame = draw(box(points[0], RED, (0.1, 0.1, 0.1)), box(points[1], BLUE, (0.1, 0.1, 0.1)), camera=camera)
-    expected, _ = project(transform_points(invert(matrix_from_pose(camera.pose)), points), camera.intrinsics())
+    expected, _ = project(transform_points(invert(matrix_from_pose(camera.pose)), points), camera)
     assert middle(where(frame, 0)) == pytest.approx(tuple(expected[0]), abs=0.6)
     assert middle(where(frame, 2)) == pytest.approx(tuple(expected[1]), abs=0.6)
 
@@ -106,7 +106,7 @@ def test_the_depth_of_a_slanted_plane_lies_on_the_plane():
     depth = draw_mesh(mesh, camera=camera).depth
     seen = np.isfinite(depth)
     assert seen.sum() > 4000
-    x, y, z = back_project(depth, camera.intrinsics())[seen].T
+    x, y, z = back_project(depth, camera)[seen].T
     distance = (z - 0.5 * x - 0.8 * y - 3.0) / math.sqrt(1.0 + 0.25 + 0.64)
     assert np.abs(distance).max() < 1e-3
 

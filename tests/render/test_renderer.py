@@ -242,7 +242,7 @@ def test_a_renderer_says_what_draws_and_how_much():
 
 
 def test_the_self_test_says_what_draws():
-    assert self_test().startswith("a box came out right on ")
+    assert self_test().startswith("pixel-exact (")
 
 
 def test_a_part_of_a_turned_link_is_lit_as_one_that_stands_so_in_the_world():

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,10 +17,19 @@ from geometry_msgs.msg import Twist  # noqa: E402
 from hypothesis import given, strategies as st  # noqa: E402
 
 from gibson_sim.errors import CommandError, SceneError  # noqa: E402
-from gibson_sim.robots.spec import Shape, VisualSpec  # noqa: E402
+from gibson_sim.robots.spec import Look, Pattern, Shape, VisualSpec  # noqa: E402
 from gibson_sim.ros import conversions as c  # noqa: E402
-from gibson_sim.scenes.spec import DrawnScene, LightSpec  # noqa: E402
-from gibson_sim.types import CameraSpec, Frame, Odometry, Pose, SceneState  # noqa: E402
+from gibson_sim.scenes.spec import DrawnScene, LightSpec, PointLight  # noqa: E402
+from gibson_sim.types import (  # noqa: E402
+    OUTPUTS,
+    CameraSpec,
+    DepthNoise,
+    Frame,
+    ImageEffects,
+    Odometry,
+    Pose,
+    SceneState,
+)
 
 pytestmark = pytest.mark.ros
 
@@ -26,6 +37,14 @@ pytestmark = pytest.mark.ros
 @given(st.integers(min_value=0, max_value=2**31 * 10**9 - 1))
 def test_stamp_round_trip_loses_no_nanosecond(stamp_ns: int) -> None:
     assert c.time_from_msg(c.time_to_msg(stamp_ns)) == stamp_ns
+
+
+LOOK = Look(0.1, 0.7, 1.3, Pattern("checker", 2**40 + 1, ((0.1, 0.2, 0.3), (0.4, 0.5, 0.6)), 0.7), None, 0.3)
+LAMP = PointLight((1.1, 2.2, 3.3), (0.9, 0.8, 0.7), 1.7, 12.3, (0.1, 0.2, 0.3), (1.0, 0.0, -0.1), 0.4, 0.6)
+LIGHT = LightSpec(
+    (0.1, 0.0, -1.0), 0.55, 0.27, (0.5, 0.7, 1.0), (1.0, 0.9, 0.8), True, (LAMP, PointLight((0.0, 0.0, 0.0))), "/a/sky.hdr", 1.2, 0.3,
+    False,
+)  # fmt: skip
 
 
 def _scene() -> DrawnScene:
@@ -39,10 +58,11 @@ def _scene() -> DrawnScene:
             VisualSpec(
                 "wall", "", Shape("mesh", (1.0, 2.0, -1.0), "/a/b.glb"), Pose((1, 2, 3), (0, 0, quarter, quarter)), None, "wall"
             ),
-            VisualSpec("body", "robot/base", Shape("cylinder", (0.2, 0.3, 0.0)), Pose(), (0.5, 0.25, 0.125, 1.0), ""),
+            VisualSpec("body", "robot/base", Shape("cylinder", (0.2, 0.3, 0.0)), Pose(), (0.5, 0.25, 0.125, 1.0), "", LOOK),
+            VisualSpec("lid", "robot/base", Shape("box"), look=Look(metallic=0.1)),
         ),
         cameras=(CameraSpec("cam", "robot/eye", Pose((0.1, 0, 0)), 320, 200, 1.0, 0.1, 10.0, 15.0, ("depth",)),),
-        light=LightSpec((0.0, 0.0, -1.0), 0.5, 0.25, (0.5, 0.75, 1.0)),
+        light=LIGHT,
     )
 
 
@@ -105,6 +125,82 @@ def test_camera_info_holds_the_intrinsics_of_the_spec() -> None:
     info = c.camera_info_to_msg(CameraSpec("cam", "l", width=640, height=480, fov_y=math.pi / 2), 0)
     np.testing.assert_allclose(info.k, [240, 0, 319.5, 0, 240, 239.5, 0, 0, 1])
     np.testing.assert_allclose(info.p, [240, 0, 319.5, 0, 0, 240, 239.5, 0, 0, 0, 1, 0])
+
+
+def _calibrated(**changes: Any) -> CameraSpec:
+    return CameraSpec("cam", "l", width=640, height=480, matrix=(310.0, 2.0, 320.5, 0.0, 300.0, 241.0, 0.0, 0.0, 1.0), **changes)
+
+
+def test_camera_info_holds_matrix_and_distortion_as_they_were_given() -> None:
+    d = (0.1, -0.2, 0.001, 0.002)
+    info = c.camera_info_to_msg(_calibrated(distortion=d), 0)
+    assert (info.distortion_model, list(info.d)) == ("plumb_bob", list(d))
+    assert list(info.k) == [310, 2, 320.5, 0, 300, 241, 0, 0, 1]
+    assert list(info.r) == [1, 0, 0, 0, 1, 0, 0, 0, 1]
+    assert list(info.p) == [310, 2, 320.5, 0, 0, 300, 241, 0, 0, 0, 1, 0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "model", "d"),
+    [
+        ({}, "plumb_bob", [0.0] * 5),
+        ({"distortion": (0.1,) * 8}, "rational_polynomial", [0.1] * 8),
+        ({"projection": "fisheye"}, "equidistant", [0.0] * 4),
+        ({"projection": "fisheye", "distortion": (0.1,) * 4}, "equidistant", [0.1] * 4),
+    ],
+)
+def test_camera_info_names_the_distortion_model(changes: dict[str, Any], model: str, d: list[float]) -> None:
+    info = c.camera_info_to_msg(_calibrated(**changes), 0)
+    assert (info.distortion_model, list(info.d)) == (model, d)
+
+
+def test_camera_info_of_the_right_camera_of_a_pair_holds_the_baseline() -> None:
+    # Tx = -310 px * 0.06 m.
+    assert c.camera_info_to_msg(_calibrated(stereo_baseline=0.06), 0).p[3] == pytest.approx(-18.6)
+
+
+def test_camera_info_of_an_equirectangular_camera_is_no_calibration_of_a_pinhole() -> None:
+    info = c.camera_info_to_msg(CameraSpec("cam", "l", width=640, height=320, projection="equirectangular"), 0)
+    assert (info.width, info.height, info.distortion_model, list(info.d)) == (640, 320, "equirectangular", [])
+    assert not np.any([*info.k, *info.r, *info.p])
+
+
+def test_scene_round_trip_keeps_every_setting_of_every_camera() -> None:
+    cameras = (
+        _calibrated(
+            distortion=(0.1, 0.2, 0.3, 0.4, 0.5),
+            samples=4,
+            stereo_baseline=0.1,
+            outputs=OUTPUTS,
+            depth_noise=DepthNoise(**_numbers(DepthNoise)),
+        ),
+        CameraSpec("fish", "l", projection="fisheye", fov=3.5, effects=ImageEffects(**_numbers(ImageEffects))),
+        CameraSpec("sphere", "l", projection="equirectangular"),
+    )
+    scene = DrawnScene("s", 1, "", ("l",), (), cameras, LightSpec())
+    assert c.scene_from_msg(c.scene_to_msg(scene, 5)).cameras == cameras
+
+
+def _numbers(kind: type) -> dict[str, Any]:
+    """Returns values of all fields, none of them the default, near enough to it to be allowed."""
+    return {
+        f.name: f.default + i + 1 if isinstance(f.default, int) else f.default * 0.5 + 0.01 * (i + 1)
+        for i, f in enumerate(fields(kind))
+    }
+
+
+def test_position_and_flow_become_images_that_read_back_the_same() -> None:
+    camera = CameraSpec("cam", "robot/eye", width=3, height=2, outputs=("normal_world", "position", "flow"))
+    triples = np.linspace(-1.0, 1.0, 18, dtype=np.float32).reshape(2, 3, 3)
+    pairs = np.linspace(-5.0, 5.0, 12, dtype=np.float32).reshape(2, 3, 2)
+    msgs = c.frame_to_image_msgs(Frame(camera, 1, np.eye(4), normal_world=triples, position=triples * 2, flow=pairs))
+    assert {name: msg.encoding for name, msg in msgs.items() if not name.endswith("_info")} == {
+        "normal_world": "32FC3", "position": "32FC3", "flow": "32FC2",
+    }  # fmt: skip
+    assert msgs["flow"].step == 24
+    np.testing.assert_array_equal(c.array_from_image(msgs["normal_world"]), triples)
+    np.testing.assert_array_equal(c.array_from_image(msgs["position"]), triples * 2)
+    np.testing.assert_array_equal(c.array_from_image(msgs["flow"]), pairs)
 
 
 def test_odometry_yaw_becomes_a_rotation_about_z() -> None:

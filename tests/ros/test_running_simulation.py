@@ -38,7 +38,7 @@ CLIENT = Path(__file__).with_name("standard_client.py")
 
 @pytest.fixture(scope="module")
 def sim(ros_domain: int) -> Iterator[Launched]:
-    launched = Launched("run", "--camera-rate", "10", "--camera-outputs", "rgb,depth,semantic,instance,normal")
+    launched = Launched("run", "--camera-rate", "10", "--camera-outputs", ",".join(OUTPUTS))
     launched.wait_for_line("triangles")
     yield launched
     assert launched.stop() == 0, "\n".join(launched.lines)
@@ -191,7 +191,7 @@ def test_physics_node_started_by_hand_refuses_too_and_disturbs_nothing(sim: Laun
     assert "another node publishes /clock in this ROS domain" in done.stderr
     scenes = listener.collect(Scene, "scene", LATCHED)
     listener.spin_until(lambda: bool(scenes), "the scene")
-    assert len(scenes[0].cameras[0].outputs) == 5, "it must not replace the scene of the one that runs"
+    assert len(scenes[0].cameras[0].outputs) == len(OUTPUTS), "it must not replace the scene of the one that runs"
 
 
 def test_snapshot_writes_colour_and_depth_of_every_camera(sim: Launched, tmp_path: Path) -> None:

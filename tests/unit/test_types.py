@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,58 @@ def test_intrinsics_put_the_centre_between_the_middle_pixels() -> None:
 def test_camera_in_degrees_is_refused_with_a_hint() -> None:
     with pytest.raises(ConfigError, match=r"fov_y is 60 rad, must be in \(0, pi\); was it given in degrees"):
         CameraSpec("c", "robot/c", fov_y=60.0)
+
+
+def test_a_given_matrix_is_the_intrinsics() -> None:
+    camera = CameraSpec("c", "", matrix=(300.0, 1.5, 310.0, 0.0, 290.0, 250.0, 0.0, 0.0, 1.0))
+    np.testing.assert_array_equal(camera.intrinsics(), [[300.0, 1.5, 310.0], [0.0, 290.0, 250.0], [0.0, 0.0, 1.0]])
+
+
+def test_the_circle_of_a_fisheye_touches_the_edges_of_its_image() -> None:
+    camera = CameraSpec("c", "", width=300, height=100, projection="fisheye", fov=2.0)
+    # 100 px for 2 rad.
+    np.testing.assert_allclose(camera.intrinsics(), [[50.0, 0.0, 149.5], [0.0, 50.0, 49.5], [0.0, 0.0, 1.0]])
+
+
+@pytest.mark.parametrize(
+    ("values", "model"),
+    [
+        ({}, "plumb_bob"),
+        ({"distortion": (0.1,) * 4}, "plumb_bob"),
+        ({"distortion": (0.1,) * 5}, "plumb_bob"),
+        ({"distortion": (0.1,) * 8}, "rational_polynomial"),
+        ({"projection": "fisheye"}, "equidistant"),
+        ({"projection": "fisheye", "distortion": (0.1,) * 4}, "equidistant"),
+        ({"projection": "equirectangular"}, None),
+    ],
+)
+def test_the_number_of_coefficients_names_the_distortion_model(values: dict[str, Any], model: str | None) -> None:
+    assert CameraSpec("c", "", **values).distortion_model == model
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"projection": "orthographic"}, "projection is 'orthographic', must be one of pinhole, fisheye, equirectangular"),
+        ({"matrix": (1.0,) * 8}, "must be nine finite numbers"),
+        ({"matrix": (300.0, 0.0, math.nan, 0.0, 300.0, 1.0, 0.0, 0.0, 1.0)}, "must be nine finite numbers"),
+        ({"matrix": (300.0, 0.0, 1.0, 0.0, -300.0, 1.0, 0.0, 0.0, 1.0)}, "fx and fy above 0"),
+        ({"matrix": (300.0, 0.0, 1.0, 0.0, 300.0, 1.0, 0.0, 0.0, 2.0)}, "must be fx skew cx 0 fy cy 0 0 1"),
+        ({"matrix": (1.0,) * 9, "projection": "equirectangular"}, "always shows the whole sphere"),
+        ({"distortion": (0.1, 0.2)}, r"2 numbers; how many a pinhole camera may have: 4 or 5 \(plumb_bob\), 8"),
+        ({"distortion": (0.1,) * 5, "projection": "fisheye"}, r"how many a fisheye camera may have: 4 \(equidistant\)"),
+        ({"distortion": (0.1,) * 4, "projection": "equirectangular"}, "may have: none"),
+        ({"distortion": (0.1, math.inf, 0.0, 0.0)}, "its numbers must be finite"),
+        ({"fov": 180.0}, "was it given in degrees"),
+        ({"fov": math.nan}, "fov is nan"),
+        ({"samples": 2}, "samples is 2, must be 1 or 4"),
+        ({"stereo_baseline": -0.1}, "stereo_baseline is -0.1 m"),
+    ],
+)
+def test_impossible_optics_are_refused(values: dict[str, Any], words: str) -> None:
+    with pytest.raises(ConfigError, match=words) as error:
+        CameraSpec("c", "", **values)
+    assert str(error.value).startswith("camera 'c': ")
 
 
 def test_camera_with_unknown_output_is_refused() -> None:

@@ -85,6 +85,14 @@ class PhysicsConfig:
     camera_outputs: str = setting(
         "", f"What every camera draws, separated by commas: {', '.join(OUTPUTS)}; empty = as the robot's file says"
     )
+    sdf_lamps: bool = setting(
+        False, "Lamps of an SDF world light it, through walls too, and cost time each; off = they count as light from everywhere"
+    )
+    randomise: str = setting(
+        "",
+        "Rules that change lights, colours, textures and materials: a file, or a name under config/randomisation; empty = none",
+    )
+    randomise_seed: int = setting(0, "Seed of the rules: same seed, same pixels", minimum=0)
     wait_for: str = setting(
         "", "Hold the first tick until topics have so many subscribers, e.g. `scene_state:1,cameras:1` (120 s at most)"
     )
@@ -132,6 +140,16 @@ class RenderConfig:
     )
     egl_library: str = setting("libEGL.so.1", "Library that offers EGL: a file name for the loader, or a path")
     cameras: str = setting("", "Names of the cameras to draw, separated by commas; empty = all of the scene")
+    detail_px: float = setting(
+        0.5,
+        "How far levels of detail may put a surface from where it is; 0 = draw every triangle",
+        unit="px",
+        minimum=0.0,
+        maximum=16.0,
+    )
+    cache: str = setting(
+        "", "Folder that keeps loaded scenes for the next start; empty = ~/.cache/gibson-sim/scenes, none = keep nothing"
+    )
     summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
 
     def __post_init__(self) -> None:

@@ -18,9 +18,16 @@ from gibson_sim.errors import CommandError, ConfigError
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
 Rgba = tuple[float, float, float, float]
-Output = Literal["rgb", "depth", "semantic", "instance", "normal"]
-OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "semantic", "instance", "normal")
+Output = Literal["rgb", "depth", "semantic", "instance", "normal", "normal_world", "position", "flow"]
+OUTPUTS: tuple[Output, ...] = ("rgb", "depth", "semantic", "instance", "normal", "normal_world", "position", "flow")
 DEFAULT_OUTPUTS: tuple[Output, ...] = ("rgb", "depth")
+Projection = Literal["pinhole", "fisheye", "equirectangular"]
+DISTORTIONS: dict[Projection, dict[str, tuple[int, ...]]] = {
+    "pinhole": {"plumb_bob": (4, 5), "rational_polynomial": (8,)},
+    "fisheye": {"equidistant": (4,)},
+    "equirectangular": {},
+}
+"""Projection -> ``distortion_model`` of camera_info -> how many numbers its ``d`` may have."""
 NS_PER_S = 1_000_000_000
 
 
@@ -39,9 +46,85 @@ class Pose:
             raise ConfigError(f"quaternion {self.quat_xyzw} (x, y, z, w) has length {norm:g}; it must be 1: normalise it")
 
 
+def _check_seed(what: str, seed: int) -> None:
+    if not 0 <= seed < 2**63:
+        raise ConfigError(f"{what}: seed is {seed}, must be 0 to {2**63 - 1}")
+
+
+@dataclass(frozen=True, slots=True)
+class ImageEffects:
+    """What a real camera does to colours. All off by default; depth, labels and normals never change."""
+
+    exposure_ev: float = 0.0
+    """Stops: each doubles the light."""
+    white_balance_k: float = 6500.0
+    """Colour temperature that comes out white, kelvin: lower = bluer picture of the same scene."""
+    vignette: float = 0.0
+    """How much of the light is missing in the corners, 0 to 1 (falls as cos^4 of the angle would, scaled to this)."""
+    shutter_s: float = 0.0
+    """Time that the shutter is open, seconds: motion blur over the motion since the previous state."""
+    readout_s: float = 0.0
+    """Time from the first row to the last, seconds: rolling shutter."""
+    shot_noise: float = 0.0
+    """Standard deviation of noise that grows with the root of the light, at full white, 0 to 1, linear."""
+    read_noise: float = 0.0
+    """Standard deviation of noise that is always there, 0 to 1, linear."""
+    seed: int = 0
+    """Of the noise; with the stamp of the image and the name of the camera it decides every pixel."""
+
+    def __post_init__(self) -> None:
+        if not abs(self.exposure_ev) <= 20.0:
+            raise ConfigError(f"effects: exposure_ev is {self.exposure_ev:g} stops, must be -20 to 20")
+        if not 1667.0 <= self.white_balance_k <= 25000.0:
+            raise ConfigError(f"effects: white_balance_k is {self.white_balance_k:g} K, must be 1667 to 25000; daylight is 6500")
+        for name in ("vignette", "shot_noise", "read_noise"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ConfigError(f"effects: {name} is {getattr(self, name):g}, must be 0 to 1")
+        for name in ("shutter_s", "readout_s"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ConfigError(f"effects: {name} is {getattr(self, name):g} s, must be 0 to 1; was it given in milliseconds?")
+        _check_seed("effects", self.seed)
+
+
+@dataclass(frozen=True, slots=True)
+class DepthNoise:
+    """What a depth camera does to depths: sigma(z) = constant + linear z + quadratic z^2, metres; steps of disparity; holes."""
+
+    constant: float = 0.0
+    """m."""
+    linear: float = 0.0
+    """1."""
+    quadratic: float = 0.0
+    """1/m: a stereo camera's noise grows with z^2."""
+    disparity_step_px: float = 0.0
+    """Disparities are multiples of this; 0 = no steps."""
+    baseline: float = 0.05
+    """m, between the camera and its projector or second eye: disparity = fx baseline / z."""
+    hole_angle_deg: float = 90.0
+    """Surfaces seen under a larger angle from their normal give no depth; 90 = all give one."""
+    hole_fraction: float = 0.0
+    """Part of the other pixels that give no depth, at random."""
+    range_min: float = 0.0
+    """m; nearer depths are reported as -inf (REP 117)."""
+    seed: int = 0
+    """With the stamp of the image and the name of the camera it decides every pixel."""
+
+    def __post_init__(self) -> None:
+        for name in ("constant", "linear", "quadratic", "disparity_step_px", "range_min"):
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
+                raise ConfigError(f"depth_noise: {name} is {getattr(self, name):g}, must be a finite number, 0 or more")
+        if not (math.isfinite(self.baseline) and self.baseline > 0.0):
+            raise ConfigError(f"depth_noise: baseline is {self.baseline:g} m, must be a finite number above 0")
+        if not 0.0 < self.hole_angle_deg <= 90.0:
+            raise ConfigError(f"depth_noise: hole_angle_deg is {self.hole_angle_deg:g}, must be in (0, 90]; 90 = no such holes")
+        if not 0.0 <= self.hole_fraction <= 1.0:
+            raise ConfigError(f"depth_noise: hole_fraction is {self.hole_fraction:g}, must be 0 to 1")
+        _check_seed("depth_noise", self.seed)
+
+
 @dataclass(frozen=True, slots=True)
 class CameraSpec:
-    """A pinhole camera fixed to a robot link. The camera frame is optical (REP 103): x right, y down, z forward."""
+    """A camera fixed to a robot link. The camera frame is optical (REP 103): x right, y down, z forward."""
 
     name: str
     """Name of the camera: its topics live under it, and its frame is ``<name>_optical_frame``."""
@@ -54,15 +137,29 @@ class CameraSpec:
     height: int = 480
     """Image height, pixels."""
     fov_y: float = math.radians(60.0)
-    """Vertical field of view, radians, in (0, pi)."""
+    """Pinhole without ``matrix``: vertical field of view, radians, in (0, pi)."""
     near: float = 0.05
-    """Nearest distance drawn, metres along the axis."""
+    """Nearest distance drawn, metres along the axis (a camera made from several views: along the axis of each)."""
     far: float = 100.0
-    """Farthest depth reported, metres along the axis; beyond it depth is +inf (REP 117)."""
+    """Farthest depth reported, metres; beyond it depth is +inf (REP 117)."""
     rate_hz: float = 30.0
     """Images a second of simulation time."""
     outputs: tuple[Output, ...] = DEFAULT_OUTPUTS
     """What to draw, all in one pass."""
+    projection: Projection = "pinhole"
+    """pinhole; fisheye (equidistant: the angle from the axis is proportional to the distance from the centre); equirectangular."""
+    matrix: tuple[float, ...] | None = None
+    """K, nine numbers by rows, pixels, as ``k`` in camera_info, skew allowed; None = from ``fov_y`` or, for a fisheye, from ``fov``."""
+    distortion: tuple[float, ...] = ()
+    """``d`` of camera_info. pinhole: 4 or 5 numbers of plumb_bob, or 8 of rational_polynomial; fisheye: 4 of equidistant; else none."""
+    fov: float = math.pi
+    """Fisheye only: full angle seen, radians, in (0, 2 pi]; nothing is drawn beyond it."""
+    samples: int = 1
+    """Colour samples a pixel: 1 or 4 (edges smoothed). Depth, labels and normals always are those of one point."""
+    stereo_baseline: float = 0.0
+    """Right camera of a stereo pair: metres to the left one. It goes into ``p`` of camera_info."""
+    effects: ImageEffects = field(default_factory=ImageEffects)
+    depth_noise: DepthNoise = field(default_factory=DepthNoise)
 
     def __post_init__(self) -> None:
         what = f"camera {self.name!r}"
@@ -77,6 +174,52 @@ class CameraSpec:
         unknown = [o for o in self.outputs if o not in OUTPUTS]
         if unknown or not self.outputs:
             raise ConfigError(f"{what}: outputs are {list(self.outputs)}, must be one or more of {', '.join(OUTPUTS)}")
+        self._check_optics(what)
+
+    def _check_optics(self, what: str) -> None:
+        if self.projection not in DISTORTIONS:
+            raise ConfigError(f"{what}: projection is {self.projection!r}, must be one of {', '.join(DISTORTIONS)}")
+        if self.matrix is not None:
+            self._check_matrix(what, self.matrix)
+        models = DISTORTIONS[self.projection]
+        if self.distortion and self.distortion_model is None:
+            known = ", ".join(f"{' or '.join(map(str, counts))} ({model})" for model, counts in models.items()) or "none"
+            raise ConfigError(
+                f"{what}: distortion has {len(self.distortion)} numbers; how many a {self.projection} camera may have: {known}"
+            )
+        if not all(map(math.isfinite, self.distortion)):
+            raise ConfigError(f"{what}: distortion is {self.distortion}, its numbers must be finite")
+        if not 0.0 < self.fov <= 2.0 * math.pi:
+            raise ConfigError(f"{what}: fov is {self.fov:g} rad, must be in (0, 2 pi]; was it given in degrees?")
+        if self.projection == "equirectangular" and self.effects.vignette:
+            raise ConfigError(
+                f"{what}: effects.vignette is {self.effects.vignette:g}, but a picture of the whole sphere has no corners"
+            )
+        if self.projection != "pinhole" and self.depth_noise.disparity_step_px:
+            raise ConfigError(
+                f"{what}: depth_noise.disparity_step_px is for pinhole cameras, its projection is {self.projection}"
+            )
+        if self.samples not in (1, 4):
+            raise ConfigError(f"{what}: samples is {self.samples}, must be 1 or 4")
+        if not (math.isfinite(self.stereo_baseline) and self.stereo_baseline >= 0.0):
+            raise ConfigError(f"{what}: stereo_baseline is {self.stereo_baseline:g} m, must be a finite number, 0 or more")
+
+    def _check_matrix(self, what: str, matrix: tuple[float, ...]) -> None:
+        if self.projection == "equirectangular":
+            raise ConfigError(
+                f"{what}: matrix is given, but an equirectangular camera always shows the whole sphere; leave it out"
+            )
+        if len(matrix) != 9 or not all(map(math.isfinite, matrix)):
+            raise ConfigError(f"{what}: matrix is {matrix}, must be nine finite numbers, K by rows")
+        fx, _, _, zero, fy, _, *last = matrix
+        if not (fx > 0.0 and fy > 0.0 and zero == 0.0 and last == [0.0, 0.0, 1.0]):
+            raise ConfigError(f"{what}: matrix is {matrix}, must be fx skew cx 0 fy cy 0 0 1 with fx and fy above 0, pixels")
+
+    @property
+    def distortion_model(self) -> str | None:
+        """The model of ``distortion`` as camera_info names it; None where no model has so many numbers, or none is known."""
+        models = DISTORTIONS[self.projection]
+        return next((model for model, counts in models.items() if not self.distortion or len(self.distortion) in counts), None)
 
     @property
     def optical_frame(self) -> str:
@@ -84,11 +227,21 @@ class CameraSpec:
         return f"{self.name}_optical_frame"
 
     def intrinsics(self) -> NDArray[np.float64]:
-        """Returns K, shape (3, 3), pixels, square pixels; pixel centres are at whole numbers (OpenCV, ROS)."""
-        focal = self.height / 2.0 / math.tan(self.fov_y / 2.0)
+        """Returns K, shape (3, 3), pixels; pixel centres are at whole numbers (OpenCV, ROS).
+
+        Without ``matrix`` pixels are square and the image's middle is that of the picture. The circle that is ``fov`` wide then
+        touches the edges of a fisheye's image. K of an equirectangular camera takes (longitude, -latitude) to pixels.
+        """
+        if self.matrix is not None:
+            return np.array(self.matrix, dtype=np.float64).reshape(3, 3)
+        if self.projection == "pinhole":
+            fx = fy = self.height / 2.0 / math.tan(self.fov_y / 2.0)
+        elif self.projection == "fisheye":
+            fx = fy = min(self.width, self.height) / self.fov
+        else:
+            fx, fy = self.width / (2.0 * math.pi), self.height / math.pi
         return np.array(
-            [[focal, 0.0, (self.width - 1) / 2.0], [0.0, focal, (self.height - 1) / 2.0], [0.0, 0.0, 1.0]],
-            dtype=np.float64,
+            [[fx, 0.0, (self.width - 1) / 2.0], [0.0, fy, (self.height - 1) / 2.0], [0.0, 0.0, 1.0]], dtype=np.float64
         )
 
 
@@ -149,13 +302,20 @@ class Frame:
     rgb: NDArray[np.uint8] | None = None
     """(height, width, 3) uint8, sRGB, or None if not asked for."""
     depth: NDArray[np.float32] | None = None
-    """(height, width) float32, metres along the optical axis, +inf = nothing (REP 117/118), or None."""
+    """(height, width) float32, metres along the optical axis (fisheye, equirectangular: from the camera's centre), +inf = nothing
+    (REP 117/118), or None. With depth noise also -inf = too near, NaN = a hole."""
     semantic: NDArray[np.uint16] | None = None
     """(height, width) uint16, index into the scene's semantic classes, 0 = nothing or unlabelled, or None."""
     instance: NDArray[np.uint16] | None = None
     """(height, width) uint16, index into the scene's instances, 0 = nothing, or None."""
     normal: NDArray[np.float32] | None = None
     """(height, width, 3) float32, unit normals in the optical frame, turned towards the camera, 0 = nothing, or None."""
+    normal_world: NDArray[np.float32] | None = None
+    """The same in the world frame."""
+    position: NDArray[np.float32] | None = None
+    """(height, width, 3) float32, points in the world frame, metres, NaN = nothing, or None."""
+    flow: NDArray[np.float32] | None = None
+    """(height, width, 2) float32, pixels right and down that the point seen here moved since the previous state, NaN = nothing; or None."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,6 +14,7 @@ from gibson_sim.geometry.transforms import matrix_from_quat, pose_from_xyz_rpy
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.robots.urdf import read_urdf
+from gibson_sim.types import DepthNoise, ImageEffects
 
 Load = Callable[..., RobotSpec]
 URDF = """<robot name="r"><link name="base"><collision>
@@ -76,6 +77,32 @@ def test_camera_angles_are_degrees_in_the_file(load: Load) -> None:
     assert load("cameras: [{name: c, link: eye_optical_frame, fov_y_deg: 90}]\n").cameras[0].fov_y == pytest.approx(math.pi / 2)
 
 
+def test_camera_may_have_the_calibration_of_a_real_one(load: Load) -> None:
+    text = "cameras: [{name: c, link: eye, k: {fx: 310, fy: 300, cx: 320.5, cy: 241, skew: 2}, "
+    camera = load(text + "distortion_model: plumb_bob, d: [0.1, -0.2, 0.001, 0.002, 0.05]}]\n").cameras[0]
+    assert camera.intrinsics().tolist() == [[310.0, 2.0, 320.5], [0.0, 300.0, 241.0], [0.0, 0.0, 1.0]]
+    assert (camera.distortion, camera.distortion_model) == ((0.1, -0.2, 0.001, 0.002, 0.05), "plumb_bob")
+    rows = load("cameras: [{name: c, link: eye, k: [310, 2, 320.5, 0, 300, 241, 0, 0, 1]}]\n").cameras[0]
+    assert rows.matrix == camera.matrix
+
+
+def test_fisheye_has_its_full_angle_in_degrees(load: Load) -> None:
+    text = (
+        "cameras: [{name: c, link: eye, projection: fisheye, fov_deg: 220, d: [0.1, 0, 0, 0], distortion_model: equidistant}]\n"
+    )
+    camera = load(text).cameras[0]
+    assert (camera.projection, camera.fov) == ("fisheye", pytest.approx(math.radians(220)))
+    assert camera.distortion == (0.1, 0.0, 0.0, 0.0)
+
+
+def test_camera_effects_and_depth_noise_come_from_their_sections(load: Load) -> None:
+    text = "cameras: [{name: c, link: eye, samples: 4, stereo_baseline: 0.06, effects: {exposure_ev: 1, seed: 7}, "
+    camera = load(text + "depth_noise: {quadratic: 0.002, hole_fraction: 0.1}}]\n").cameras[0]
+    assert (camera.samples, camera.stereo_baseline) == (4, 0.06)
+    assert camera.effects == ImageEffects(exposure_ev=1.0, seed=7)
+    assert camera.depth_noise == DepthNoise(quadratic=0.002, hole_fraction=0.1)
+
+
 def test_camera_on_a_plain_link_looks_along_x(load: Load) -> None:
     pose = load("cameras: [{name: c, link: eye}]\n").cameras[0].pose
     assert matrix_from_quat(pose.quat_xyzw) @ [0, 0, 1] == pytest.approx([1, 0, 0], abs=1e-12)
@@ -96,7 +123,23 @@ def test_camera_on_an_optical_link_is_that_link(load: Load) -> None:
     ("text", "words"),
     [
         ("camera: []\n", "did you mean 'cameras'"),
-        ("cameras: [{name: c, link: eye, fov_deg: 60}]\n", "did you mean 'fov_y_deg'"),
+        ("cameras: [{name: c, link: eye, fovy_deg: 60}]\n", "did you mean 'fov_y_deg'"),
+        ("cameras: [{name: c, link: eye, fov_deg: 60}]\n", "fov_deg is for a fisheye camera; a pinhole camera has fov_y_deg"),
+        ("cameras: [{name: c, link: eye, projection: fisheye, fov_y_deg: 60}]\n", "a fisheye has fov_deg"),
+        ("cameras: [{name: c, link: eye, projection: fish}]\n", "must be one of pinhole, fisheye, equirectangular"),
+        ("cameras: [{name: c, link: eye, projection: fisheye, fov_deg: 400}]\n", "fov is 6.98132 rad, must be in (0, 2 pi]"),
+        ("cameras: [{name: c, link: eye, k: {fx: 1, fy: 1, cx: 0}}]\n", "cy is missing"),
+        ("cameras: [{name: c, link: eye, k: {fx: 1, fy: 1, cx: 0, c_y: 2}}]\n", "did you mean 'cy'"),
+        ("cameras: [{name: c, link: eye, k: [1, 2]}]\n", "nine finite numbers"),
+        ("cameras: [{name: c, link: eye, k: }]\n", "k is empty"),
+        ("cameras: [{name: c, link: eye, k: [1, 0, 0, 0, 1, 0, 0, 0, 1], fov_y_deg: 60}]\n", "leave one out"),
+        ("cameras: [{name: c, link: eye, d: [0.1, 0, 0, 0]}]\n", "belong together"),
+        ("cameras: [{name: c, link: eye, d: [0.1, 0], distortion_model: plumb_bob}]\n", "d has 2 numbers, plumb_bob has 4 or 5"),
+        ("cameras: [{name: c, link: eye, d: [0, 0, 0, 0], distortion_model: equidistant}]\n", "plumb_bob or rational_polynomial"),
+        ("cameras: [{name: c, link: eye, d: [0, 0, .inf, 0], distortion_model: plumb_bob}]\n", "finite"),
+        ("cameras: [{name: c, link: eye, samples: 3}]\n", "camera 'c': samples is 3, must be 1 or 4"),
+        ("cameras: [{name: c, link: eye, effects: {exposure: 2}}]\n", "did you mean 'exposure_ev'"),
+        ("cameras: [{name: c, link: eye, depth_noise: {seed: 1.5}}]\n", "whole number"),
         ("cameras: [{name: c, link: ey}]\n", "no link 'ey'; known: base"),
         ("cameras: [{name: c, link: eye}, {name: c, link: eye}]\n", "names must differ"),
         ("cameras: [{name: c, link: eye_optical_frame, pose: {}}]\n", "takes no pose"),

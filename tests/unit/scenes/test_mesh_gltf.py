@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import MeshError
-from gibson_sim.scenes.mesh import LIGHT_GREY, MeshPart, load_mesh
+from gibson_sim.scenes.mesh import LIGHT_GREY, Material, MeshPart, load_mesh
 from support.gltf import CORNERS, Gltf, png
 
 HALF = 0.5**0.5
@@ -222,3 +222,80 @@ def test_unknown_required_extension_is_named(tmp_path: Path) -> None:
     gltf.document["extensionsRequired"] = ["KHR_draco_mesh_compression"]
     with pytest.raises(MeshError, match="KHR_draco_mesh_compression"):
         load_mesh(gltf.write(tmp_path / "t.glb"), [tmp_path])
+
+
+# Metal and roughness
+
+
+def _material(tmp_path: Path, source: dict[str, object], images: int = 0) -> Material:
+    gltf = Gltf().triangle(uvs=[[0, 0], [1, 0], [0, 1]], material=0)
+    gltf.document["materials"] = [source]
+    gltf.document["images"] = [{"bufferView": gltf.view(png((k, 20, 30))), "mimeType": "image/png"} for k in range(images)]
+    gltf.document["textures"] = [{"source": k} for k in range(images)]
+    mesh = load_mesh(gltf.write(tmp_path / "t.glb"), [tmp_path])
+    assert mesh.warnings == ()
+    return mesh.parts[0].material
+
+
+def test_metal_roughness_and_emission_are_read(tmp_path: Path) -> None:
+    material = _material(
+        tmp_path,
+        {
+            "pbrMetallicRoughness": {"metallicFactor": 0.25, "roughnessFactor": 0.5},
+            "emissiveFactor": [0.1, 0.2, 0.3],
+            "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 10.0}},
+        },
+    )
+    assert (material.metallic, material.roughness) == (0.25, 0.5)
+    assert material.emissive == pytest.approx((1.0, 2.0, 3.0))
+
+
+def test_what_says_one_of_metal_and_roughness_has_the_standards_default_of_the_other(tmp_path: Path) -> None:
+    assert _material(tmp_path, {"pbrMetallicRoughness": {"roughnessFactor": 0.2}}).metallic == 1.0
+    assert _material(tmp_path, {"pbrMetallicRoughness": {"metallicFactor": 0.0}}).roughness == 1.0
+
+
+def test_what_says_nothing_of_metal_and_roughness_is_matte(tmp_path: Path) -> None:
+    material = _material(tmp_path, {"pbrMetallicRoughness": {"baseColorFactor": [1, 0, 0, 1]}})
+    assert (material.metallic, material.roughness) == (0.0, 1.0)
+
+
+def test_glossiness_is_one_minus_roughness(tmp_path: Path) -> None:
+    source = {"extensions": {"KHR_materials_pbrSpecularGlossiness": {"glossinessFactor": 0.75}}}
+    material = _material(tmp_path, source)
+    assert (material.metallic, material.roughness) == (0.0, 0.25)
+
+
+def test_each_texture_finds_its_slot(tmp_path: Path) -> None:
+    material = _material(
+        tmp_path,
+        {
+            "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "metallicRoughnessTexture": {"index": 1}},
+            "normalTexture": {"index": 2, "scale": 0.5},
+            "occlusionTexture": {"index": 3, "strength": 0.25},
+            "emissiveTexture": {"index": 4},
+        },
+        images=5,
+    )
+    slots = ("texture", "metallic_roughness_texture", "normal_texture", "occlusion_texture", "emissive_texture")
+    # The red of each image is its number.
+    assert [getattr(material, slot).pixels[0, 0, 0] for slot in slots] == [0, 1, 2, 3, 4]
+    assert (material.normal_scale, material.occlusion_strength) == (0.5, 0.25)
+    assert material.has_maps
+
+
+def test_unlit_materials_have_no_further_textures(tmp_path: Path) -> None:
+    source = {"extensions": {"KHR_materials_unlit": {}}, "emissiveTexture": {"index": 0}, "emissiveFactor": [1, 1, 1]}
+    material = _material(tmp_path, source, images=1)
+    assert material.emissive_texture is None
+    assert not material.has_maps
+
+
+def test_texture_that_lies_otherwise_is_left_out_with_a_warning(tmp_path: Path) -> None:
+    gltf = Gltf()
+    gltf.triangle(uvs=[[0, 0], [1, 0], [0, 1]], material=gltf.image_material({"bufferView": 0, "mimeType": "image/png"}))
+    gltf.document["images"][0]["bufferView"] = gltf.view(png((1, 2, 3)))
+    gltf.document["materials"][0]["normalTexture"] = {"index": 0, "texCoord": 1}
+    mesh = load_mesh(gltf.write(tmp_path / "t.glb"), [tmp_path])
+    assert mesh.parts[0].material.normal_texture is None
+    assert any("normalTexture" in w and "left out" in w for w in mesh.warnings)

@@ -110,3 +110,11 @@ def test_broken_file_is_refused_in_one_line(tmp_path: Path, text: str, said: str
         load_mesh(_write(tmp_path, text), [tmp_path])
     assert "thing.obj" in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_metal_roughness_and_emission_of_the_material_are_read(tmp_path: Path) -> None:
+    (tmp_path / "m.mtl").write_text("newmtl a\nKd 1 1 1\nPr 0.25\nPm 0.5\nKe 0.1 0.2 0.3\nnewmtl b\nKd 1 1 1\n")
+    (tmp_path / "m.obj").write_text("mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl a\nf 1 2 3\nusemtl b\nf 1 2 3\n")
+    first, second = (part.material for part in load_mesh(tmp_path / "m.obj", [tmp_path]).parts)
+    assert (first.roughness, first.metallic, first.emissive) == (0.25, 0.5, (0.1, 0.2, 0.3))
+    assert (second.roughness, second.metallic, second.emissive) == (1.0, 0.0, (0.0, 0.0, 0.0))

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import matrix_from_pose
+from gibson_sim.robots.spec import Look
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.mesh import collision_triangles
-from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.scenes.spec import PointLight, SceneSpec
 from support.scenes import write_square_obj, write_triangle_glb
 
 
@@ -165,3 +167,66 @@ def test_scene_with_nothing_in_it_is_refused(tmp_path: Path) -> None:
 def test_yaw_of_45_degrees_is_not_taken_as_radians(tmp_path: Path) -> None:
     scene = _load(tmp_path, "objects: [{sphere: 1, pose: {rpy_deg: [0, 0, 45]}}]\n")
     assert matrix_from_pose(scene.visuals[0].pose)[1, 0] == pytest.approx(math.sqrt(0.5))
+
+
+def test_all_of_the_light_is_taken_over(tmp_path: Path) -> None:
+    assert cv2.imwrite(str(tmp_path / "sky.png"), np.zeros((8, 16, 3), dtype=np.uint8))
+    scene = _load(
+        tmp_path,
+        "objects: [{box: [1, 1, 1]}]\n"
+        "light:\n"
+        "  sun_color: [1, 0.9, 0.8]\n"
+        "  shadows: true\n"
+        "  points:\n"
+        "  - {position: [1, 2, 3], color: [1, 0, 0], strength: 5, range: 4, attenuation: [1, 0, 0.5]}\n"
+        "  - {position: [0, 0, 2], direction: [0, 1, 0], inner_deg: 10, outer_deg: 30}\n"
+        "  environment: sky.png\n"
+        "  environment_strength: 0.5\n"
+        "  environment_yaw_deg: 90\n"
+        "  environment_visible: false\n",
+    )
+    light = scene.light
+    assert (light.sun_color, light.shadows) == ((1, 0.9, 0.8), True)
+    assert light.points[0] == PointLight((1, 2, 3), (1, 0, 0), 5, 4, (1, 0, 0.5))
+    assert light.points[1].direction == (0, 1, 0)
+    assert (light.points[1].inner_angle, light.points[1].outer_angle) == pytest.approx((math.radians(10), math.radians(30)))
+    assert (light.environment, light.environment_strength) == (str(tmp_path / "sky.png"), 0.5)
+    assert light.environment_yaw == pytest.approx(math.pi / 2)
+    assert not light.environment_visible
+    # The surroundings are the light from everywhere.
+    assert light.ambient == 0.0
+
+
+def test_the_image_of_the_surroundings_is_part_of_the_digest(tmp_path: Path) -> None:
+    text = "objects: [{box: [1, 1, 1]}]\nlight: {environment: sky.png}\n"
+    digests = set()
+    for value in (0, 1):
+        assert cv2.imwrite(str(tmp_path / "sky.png"), np.full((8, 16, 3), value, dtype=np.uint8))
+        digests.add(_load(tmp_path, text).content_hash)
+    assert len(digests) == 2
+
+
+@pytest.mark.parametrize(
+    ("light", "words"),
+    [
+        ("{points: [{color: [1, 1, 1]}]}", "position is None, must be a list of 3 numbers"),
+        ("{points: [{position: [0, 0, 1], strenght: 2}]}", "did you mean 'strength'"),
+        ("{points: [{position: [0, 0, 1], attenuation: [0, 0, 0]}]}", "one of the three must be above 0"),
+        (
+            "{points: [{position: [0, 0, 1], inner_deg: 40, outer_deg: 30}]}",
+            "inner_deg is 40, must be a finite number, from 0 to 30",
+        ),
+        ("{shadows: 1}", "shadows is 1, must be true or false"),
+        ("{environment: none.hdr}", "none.hdr is missing"),
+        ("{environment: ../sky.hdr}", "lies outside the scene's folder"),
+        ("{sun_direction: [0, 0, 0]}", "must not be zero"),
+    ],
+)
+def test_a_mistake_in_the_light_is_named(tmp_path: Path, light: str, words: str) -> None:
+    (tmp_path / "scene").mkdir()
+    assert words in _refused(tmp_path / "scene", f"objects: [{{box: [1, 1, 1]}}]\nlight: {light}\n")
+
+
+def test_metal_and_roughness_of_an_object_become_its_look(tmp_path: Path) -> None:
+    first, second = _load(tmp_path, "objects: [{sphere: 1, metallic: 1, roughness: 0.2}, {sphere: 1}]\n").visuals
+    assert (first.look, second.look) == (Look(metallic=1.0, roughness=0.2), None)

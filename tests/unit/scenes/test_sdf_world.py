@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -21,12 +22,12 @@ def _model(folder: Path, name: str, content: str) -> None:
     (folder / "models" / name / "model.sdf").write_text(f'<sdf version="1.6"><model name="{name}">{content}</model></sdf>')
 
 
-def _load(folder: Path, content: str) -> SceneSpec:
+def _load(folder: Path, content: str, *, sdf_lamps: bool = False) -> SceneSpec:
     path = folder / "worlds" / "w.world"
     path.parent.mkdir(parents=True, exist_ok=True)
     (folder / "models").mkdir(exist_ok=True)
     path.write_text(f'<sdf version="1.6"><world name="w">{content}</world></sdf>')
-    return load_scene(path)
+    return load_scene(path, sdf_lamps=sdf_lamps)
 
 
 def _box_link(pose: str = "") -> str:
@@ -133,17 +134,44 @@ def test_model_that_includes_itself_is_refused(tmp_path: Path) -> None:
         _load(tmp_path, "<include><uri>model://loop</uri></include>")
 
 
-def test_lights_are_read(tmp_path: Path) -> None:
-    scene = _load(
-        tmp_path,
-        '<light name="lamp" type="point"><pose>0 0 2 0 0 0</pose><diffuse>1 1 1 1</diffuse></light>'
-        '<light name="sun" type="directional"><diffuse>0.5 0.5 0.5 1</diffuse><direction>0 1 -1</direction></light>'
-        "<scene><background>0.1 0.2 0.3 1</background></scene>"
-        f'<model name="m">{_box_link()}</model>',
+SUN = '<light name="sun" type="directional"><diffuse>0.5 0.25 0.25 1</diffuse><direction>0 1 -1</direction></light>'
+LAMP = (
+    '<light name="lamp" type="point"><pose>1 0 2 0 0 0</pose><diffuse>1 0.5 0.5 1</diffuse><attenuation><range>7</range>'
+    "<constant>0.5</constant><linear>0.1</linear><quadratic>0.2</quadratic></attenuation></light>"
+)
+
+
+def test_the_sun_and_the_background_are_read(tmp_path: Path) -> None:
+    background = "<scene><background>0.1 0.2 0.3 1</background></scene>"
+    light = _load(tmp_path, f'{LAMP}{SUN}{background}<model name="m">{_box_link()}</model>').light
+    assert light.sun_direction == (0, 1, -1)
+    # 0.7 of the mean of 0.5, 0.25, 0.25; the colour has its brightest channel at 1.
+    assert light.sun == pytest.approx(0.7 / 3.0)
+    assert light.sun_color == (1.0, 0.5, 0.5)
+    assert light.background == (0.1, 0.2, 0.3)
+    # Lamps count as light from everywhere, unless they are asked for.
+    assert (light.points, light.ambient) == ((), 0.5)
+
+
+def test_lamps_are_read_where_they_are_asked_for(tmp_path: Path) -> None:
+    light = _load(tmp_path, f'{LAMP}<model name="m">{_box_link()}</model>', sdf_lamps=True).light
+    (lamp,) = light.points
+    assert light.sun == 0.0
+    assert (lamp.position, lamp.color, lamp.range, lamp.attenuation) == ((1, 0, 2), (1.0, 0.5, 0.5), 7, (0.5, 0.1, 0.2))
+    # A quarter of the mean.
+    assert lamp.strength == pytest.approx(0.25 * 2.0 / 3.0)
+    assert lamp.outer_angle == math.pi
+
+
+def test_a_spot_points_along_its_direction_in_its_own_pose(tmp_path: Path) -> None:
+    spot = (
+        f'<light name="s" type="spot"><pose>0 0 2 {HALF_TURN} 0 0</pose><diffuse>1 1 1 1</diffuse><direction>0 0 -1</direction>'
+        "<spot><inner_angle>0.4</inner_angle><outer_angle>1.0</outer_angle></spot></light>"
     )
-    assert scene.light.sun_direction == (0, 1, -1)
-    assert scene.light.sun == pytest.approx(0.35)
-    assert scene.light.background == (0.1, 0.2, 0.3)
+    (lamp,) = _load(tmp_path, f'{spot}<model name="m">{_box_link()}</model>', sdf_lamps=True).light.points
+    # A quarter turn about x takes -z to y; the angles are full ones.
+    np.testing.assert_allclose(lamp.direction, (0, 1, 0), atol=1e-9)
+    assert (lamp.inner_angle, lamp.outer_angle) == pytest.approx((0.2, 0.5))
 
 
 @pytest.mark.parametrize("light", ["<light/>", '<light type="spot"><diffuse>bright</diffuse></light>'])

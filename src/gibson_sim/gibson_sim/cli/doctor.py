@@ -118,27 +118,59 @@ import dataclasses, json
 from gibson_sim.render.context import list_devices
 print(json.dumps([dataclasses.asdict(d) for d in list_devices()]))
 """
-_DRAW = "from gibson_sim.render.self_test import self_test; print(self_test())"
+_DRAW = "from gibson_sim.render.self_test import self_test; print(self_test({index}))"
+_CUDA = """
+import dataclasses, json
+from gibson_sim.render.cuda import CudaPython
+print(json.dumps([dataclasses.asdict(d) for d in CudaPython().devices()]))
+"""
+_GRAPHICS_REMEDY = (
+    "Debian/Ubuntu: apt install libegl1 libegl-mesa0 libgl1-mesa-dri; NVIDIA in a container: give it the graphics capability"
+)
 
 
 def _graphics() -> Iterator[Finding]:
-    remedy = (
-        "Debian/Ubuntu: apt install libegl1 libegl-mesa0 libgl1-mesa-dri; NVIDIA in a container: give it the graphics capability"
-    )
+    """Lets each device draw in a process of its own: one that works may stand beside one that does not."""
     ok, text = _try(_DEVICES)
     if not ok:
-        yield Finding("EGL", "FAIL", text, remedy)
+        yield Finding("EGL", "FAIL", text, _GRAPHICS_REMEDY)
         return
     devices = json.loads(text)
     if not any(d["usable"] for d in devices):
-        yield Finding("EGL", "FAIL", f"{len(devices)} devices, none can draw", remedy)
+        yield Finding("EGL", "FAIL", f"{len(devices)} devices, none can draw", _GRAPHICS_REMEDY)
     for device in devices:
+        yield _egl_device(device)
+    nvidia = [d for d in devices if d["usable"] and "nvidia" in d["vendor"].lower()]
+    if nvidia:
+        yield _cuda(nvidia)
+
+
+def _egl_device(device: dict[str, Any]) -> Finding:
+    what = f"EGL device {device['index']}"
+    identity = f", UUID {device['uuid']}" if device["uuid"] else ""
+    if not device["usable"]:
         kind = "software, no GPU" if device["software"] else f"GPU {device['drm_node']}".strip()
         name = device["renderer"] or device["vendor"] or "nameless"
-        text = f"{name}, OpenGL {device['version']}, {kind}" if device["usable"] else f"{name}, {kind}: {device['problem']}"
-        yield Finding(f"EGL device {device['index']}", "ok" if device["usable"] else "warn", text)
-    ok, text = _try(_DRAW)
-    yield Finding("drawing", "ok" if ok else "FAIL", text, "" if ok else remedy)
+        return Finding(what, "warn", f"{name}, {kind}{identity}: {device['problem']}")
+    ok, text = _try(_DRAW.format(index=device["index"]))
+    if ok:
+        return Finding(what, "ok", f"{text}{identity}")
+    return Finding(what, "FAIL", f"{text}{identity}", "update its driver; until then choose another device with --egl-device")
+
+
+def _cuda(nvidia: list[dict[str, Any]]) -> Finding:
+    """Says whether tensors can stay on the GPU: CUDA must have the GPUs that draw."""
+    ok, text = _try(_CUDA)
+    if not ok:
+        return Finding("CUDA", "warn", text, "only for tensors on the GPU: pip install gibson-sim[cuda]; all else works without")
+    devices = json.loads(text)
+    drawing = {d["uuid"]: d["index"] for d in nvidia}
+    pairs = [f"cuda:{c['ordinal']} {c['name']} is EGL device {drawing[c['uuid']]}" for c in devices if c["uuid"] in drawing]
+    if pairs:
+        return Finding("CUDA", "ok", "; ".join(pairs))
+    known = ", ".join(f"cuda:{c['ordinal']} {c['name']} {c['uuid']}" for c in devices) or "no device"
+    remedy = "for tensors on the GPU let CUDA_VISIBLE_DEVICES show the GPU that draws"
+    return Finding("CUDA", "warn", f"{known}: none of the GPUs that draw", remedy)
 
 
 def _dds() -> Iterator[Finding]:

@@ -20,7 +20,7 @@ from gibson_sim.cli.processes import DomainLock, NodeProcess, StopRequest
 from gibson_sim.cli.shared_memory import remove_dead_segments
 from gibson_sim.config import DriveConfig, PhysicsConfig, RecordConfig, RenderConfig, SnapshotConfig
 from gibson_sim.errors import ConfigError, RecordError
-from gibson_sim.resources import find_scene
+from gibson_sim.resources import find_config, find_scene
 
 MAX_RESTARTS = 3
 USER_ERROR = 1
@@ -51,6 +51,9 @@ def add_parser(subparsers: Any) -> None:
             "camera_outputs",
             "cmd_vel_timeout",
             "publish_map_tf",
+            "sdf_lamps",
+            "randomise",
+            "randomise_seed",
         ),
     )
     add_settings(parser, RenderConfig, ("egl_device", "egl_library", "cameras"))
@@ -101,7 +104,10 @@ def _plan(args: argparse.Namespace, folder: Path) -> _Job:
     Raises:
         GibsonSimError: an option is impossible; nothing was started yet.
     """
-    find_scene(settings_from_args(PhysicsConfig, args).scene)
+    wanted = settings_from_args(PhysicsConfig, args)
+    find_scene(wanted.scene)
+    if wanted.randomise:
+        find_config(wanted.randomise, "randomisation")
     job = _Job(folder, video=_new_file(args.video), summary=Path(args.summary) if args.summary else None)
     waits = {} if args.no_render else {STATE_TOPIC: 1}
     physics: dict[str, Any] = {"summary_path": str(folder / "physics.json")}

@@ -1,45 +1,102 @@
-"""The pinhole camera: optical frame (x right, y down, z forward, metres) to pixels and back; pixel centres are at whole numbers."""
+"""Cameras: optical frame (x right, y down, z forward, metres) to pixels and back; pixel centres are at whole numbers.
+
+pinhole
+    ``K`` takes (x / z, y / z), bent by plumb_bob or rational_polynomial, to pixels.
+fisheye
+    ``K`` takes the direction in the image times the angle from the axis, bent by equidistant, to pixels.
+equirectangular
+    ``K`` takes (longitude, -latitude) to pixels: longitude 0 is the z axis, in the middle of the image, and grows to the right, to
+    pi at the right edge; latitude grows upwards (-y), to pi / 2 at the top edge. Square pixels have ``width = 2 height``.
+
+The depth of a pinhole camera is along its axis, that of the others is the distance from the camera's centre.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gibson_sim.geometry.distortion import bend, distort, unbend, undistort
 from gibson_sim.geometry.transforms import Mat4
+from gibson_sim.types import CameraSpec
+
+_ANGLE_EPSILON = 1e-9
+"""Radians by which rounding may push a ray beyond the field of view."""
 
 
-def project(points: ArrayLike, intrinsics: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Projects points to the image.
+def project(points: ArrayLike, camera: CameraSpec) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Projects points to the image, which they may miss.
 
     Args:
         points: (N, 3), optical frame, metres.
-        intrinsics: K, (3, 3), pixels.
+        camera: its optics and size.
 
     Returns:
-        (u, v), (N, 2), pixels, NaN for points at or behind the camera's plane; and their depth along the axis, (N,), metres.
+        (u, v), (N, 2), pixels, NaN for points that the camera cannot see in any direction (at or behind a pinhole's plane, outside
+        a fisheye's ``fov``, where the distortion ends); and their depth, (N,), metres.
     """
     p = np.asarray(points, dtype=np.float64)
-    k = np.asarray(intrinsics, dtype=np.float64)
-    depth = p[:, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        pixels = (p @ k.T)[:, :2] / depth[:, None]
-    pixels[depth <= 0.0] = np.nan
-    return pixels, depth.copy()
+    x, y, z = p[:, 0], p[:, 1], p[:, 2]
+    k = camera.intrinsics()
+    if camera.projection == "pinhole":
+        with np.errstate(divide="ignore", invalid="ignore"):
+            plane = np.where(z > 0.0, p[:, :2].T / z, np.nan).T
+        if any(camera.distortion):
+            plane, _ = distort(plane, camera.distortion)
+        return plane @ k[:2, :2].T + k[:2, 2], z.copy()
+    distance = np.linalg.norm(p, axis=1)
+    across = np.hypot(x, y)
+    if camera.projection == "fisheye":
+        theta = np.arctan2(across, z)
+        radius = np.where(theta <= camera.fov / 2.0 + _ANGLE_EPSILON, bend(theta, camera.distortion), np.nan)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            plane = p[:, :2] * np.where(across > 0.0, radius / across, np.where(radius == 0.0, 0.0, np.nan))[:, None]
+    else:
+        plane = np.stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))], axis=-1)
+    plane[distance == 0.0] = np.nan
+    return plane @ k[:2, :2].T + k[:2, 2], distance
 
 
-def back_project(depth: ArrayLike, intrinsics: ArrayLike) -> NDArray[np.float64]:
-    """Returns the points, (H, W, 3), optical frame, metres, of a depth image (H, W), metres along the axis; +inf gives NaN."""
+def unproject(pixels: ArrayLike, camera: CameraSpec) -> NDArray[np.float64]:
+    """Returns the points at depth 1, (..., 3), optical frame, that pixels (..., 2) show; NaN where the camera sees nothing."""
+    uv = np.asarray(pixels, dtype=np.float64)
+    k = camera.intrinsics()
+    py = (uv[..., 1] - k[1, 2]) / k[1, 1]
+    px = (uv[..., 0] - k[0, 2] - k[0, 1] * py) / k[0, 0]
+    if camera.projection == "pinhole":
+        if any(camera.distortion):
+            px, py = np.moveaxis(undistort(np.stack([px, py], axis=-1), camera.distortion), -1, 0)
+        return np.stack([px, py, np.where(np.isnan(px), np.nan, 1.0)], axis=-1)
+    if camera.projection == "fisheye":
+        radius = np.hypot(px, py)
+        theta = unbend(radius, camera.distortion)
+        theta = np.where(theta <= camera.fov / 2.0 + _ANGLE_EPSILON, theta, np.nan)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            across = np.where(radius > 0.0, np.sin(theta) / radius, 1.0)
+        return np.stack([px * across, py * across, np.cos(theta)], axis=-1)
+    seen = (np.abs(px) <= np.pi + _ANGLE_EPSILON) & (np.abs(py) <= np.pi / 2.0 + _ANGLE_EPSILON)
+    rays = np.stack([np.cos(py) * np.sin(px), np.sin(py), np.cos(py) * np.cos(px)], axis=-1)
+    rays[~seen] = np.nan
+    return rays
+
+
+def rays(camera: CameraSpec) -> NDArray[np.float64]:
+    """Returns the point at depth 1 that each pixel shows, (H, W, 3), optical frame; NaN where the camera sees nothing.
+
+    Unit vectors of fisheye and equirectangular cameras; z is 1 for pinhole cameras.
+    """
+    v, u = np.mgrid[: camera.height, : camera.width]
+    return unproject(np.stack([u, v], axis=-1), camera)
+
+
+def back_project(depth: ArrayLike, camera: CameraSpec) -> NDArray[np.float64]:
+    """Returns the points, (H, W, 3), optical frame, metres, of a depth image (H, W) of the camera; +inf gives NaN."""
     d = np.asarray(depth, dtype=np.float64)
-    d = np.where(np.isfinite(d), d, np.nan)
-    k = np.asarray(intrinsics, dtype=np.float64)
-    v, u = np.mgrid[: d.shape[0], : d.shape[1]]
-    y = (v - k[1, 2]) / k[1, 1]
-    x = (u - k[0, 2] - k[0, 1] * y) / k[0, 0]
-    return np.stack([x * d, y * d, d], axis=-1)
+    return rays(camera) * np.where(np.isfinite(d), d, np.nan)[..., None]
 
 
 def clip_from_optical(intrinsics: ArrayLike, width: int, height: int, near: float) -> Mat4:
-    """Returns the (4, 4) matrix from the optical frame to clip coordinates, in which x / w and y / w in [-1, 1] is the image.
+    """Returns the (4, 4) matrix from a pinhole's optical frame to clip coordinates, in which x / w and y / w in [-1, 1] is the image.
 
     y / w = -1 is the image's top edge, so whoever draws bottom-up, as OpenGL does, gets row 0 = top in memory. z / w is
     ``near / depth``: 1 at the near plane, 0 infinitely far, which keeps precision where floats have it. Pixel centres at whole

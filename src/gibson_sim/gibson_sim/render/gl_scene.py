@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
+from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.resources import files
-from itertools import groupby
 from typing import Any
 
 import cv2
@@ -15,28 +13,63 @@ from numpy.typing import NDArray
 
 from gibson_sim.geometry.projections import clip_from_optical, frustum_planes
 from gibson_sim.geometry.transforms import Mat4
-from gibson_sim.render.batches import Batch, Batches, linear_from_srgb, visible_chunks
+from gibson_sim.render import gl as GL
+from gibson_sim.render.batches import MATERIAL, VERTEX, Batch, Batches
 from gibson_sim.render.context import GlContext
-from gibson_sim.render.readback import ATTACHMENT, Feature, features_of
+from gibson_sim.render.dressing import Dressing
+from gibson_sim.render.lighting import Lighting
+from gibson_sim.render.occlusion import DepthPyramid, hidden
+from gibson_sim.render.screen_pass import shader_text
+from gibson_sim.render.shadows import SunShadow
+from gibson_sim.render.target import ATTACHMENT, Feature, Target
+from gibson_sim.render.visibility import Detail, Visibility, link_frames
 from gibson_sim.scenes.mesh_types import TextureSource
 from gibson_sim.scenes.spec import LightSpec
-from gibson_sim.types import CameraSpec
 
-MAX_TEXTURE = 4096
-"""Longest side of a texture, pixels; larger images are made smaller."""
-OPAQUE, CUT = 0, 1
-"""The two programs: without and with the test of alpha, which costs time even where nothing is transparent."""
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
 
-_SRGB8_ALPHA8, _FRAMEBUFFER_SRGB, _PRIMITIVE_RESTART = 0x8C43, 0x8DB9, 0x8F9D
-_LOWER_LEFT, _ZERO_TO_ONE, _GREATER, _TRIANGLES, _UNSIGNED_INT = 0x8CA1, 0x935F, 0x0204, 0x0004, 0x1405
-_COLOR, _DEPTH = 0x1800, 0x1801
-_DEPTH_TEST, _CULL_FACE, _BLEND, _SRC_ALPHA, _ONE_MINUS_SRC_ALPHA = 0x0B71, 0x0B44, 0x0BE2, 0x0302, 0x0303
-_VERTEX_FORMAT = "3f 3f 2f 4f2 4f1 2u2"
-_VERTEX_NAMES = ("in_position", "in_normal", "in_uv", "in_color", "in_surface", "in_label")
+_VIEW = np.dtype(
+    [("clip", "<f4", (4, 4)), ("clip_before", "<f4", (4, 4)), ("optical", "<f4", (4, 4)), ("eye", "<f4", 4), ("size", "<f4", 4), ("pad", "<f4", 8)]
+)  # fmt: skip
+"""``View`` of the shaders, matrices by columns, padded to the alignment of uniform buffers."""
+_COMMAND = np.dtype([("count", "<u4"), ("instances", "<u4"), ("first", "<u4"), ("base_vertex", "<i4"), ("base_instance", "<u4")])
+_VIEWS = 0
+_LINKS, _LINKS_BEFORE, _MATERIALS, _LOOKS = 0, 1, 2, 3
+_ATTRIBUTES = (
+    # location, numbers, type, normalised (None = whole numbers stay whole), field
+    (0, 3, GL.FLOAT, 0, "position"),
+    (1, 3, GL.SHORT, 1, "normal"),
+    (2, 1, GL.UNSIGNED_SHORT, None, "material"),
+    (3, 2, GL.FLOAT, 0, "uv"),
+    (4, 1, GL.UNSIGNED_INT, None, "label"),
+)
+_ATTRIBUTE_LINK = 5
+_OCCLUSION_FROM = 50_000
+"""Fewer triangles than this are drawn without looking what is hidden."""
+_NEAR_PART = 0.25
+"""Part of the triangles, the nearest ones, that are drawn before that look."""
 
 
-def _shader(name: str) -> str:
-    return files("gibson_sim.render").joinpath("shaders", name).read_text(encoding="utf-8")
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """One pinhole picture to draw into a rectangle of a target."""
+
+    T_world_camera: Mat4
+    """Optical frame."""
+    intrinsics: F64
+    """K, (3, 3), pixels, pixel centres at whole numbers."""
+    width: int
+    """Pixels."""
+    height: int
+    near: float
+    """Metres."""
+    x: int = 0
+    """Left column in the target."""
+    y: int = 0
+    """Top row in the target."""
+    T_world_camera_before: Mat4 | None = None
+    """At the state before; for the flow."""
 
 
 class GlScene:
@@ -46,231 +79,410 @@ class GlScene:
         context: where; it must be current in every call.
         batches: what.
         light: how surfaces are lit, and the background.
+        detail_px: how far, pixels, levels of detail may put a surface from where it is; 0 = always draw all triangles.
         cull: leave out what is outside the image; off only to check that nothing else changes.
     """
 
-    def __init__(self, context: GlContext, batches: Batches, light: LightSpec, *, cull: bool = True) -> None:
-        gl = context.gl
-        self._batches = batches
-        self._cull = cull
-        self._gl: moderngl.Context = gl
-        self._light = light
-        self._passes: dict[tuple[Feature, ...], _Pass] = {}
-        self._load_functions(context)
-        # An empty buffer is an error; one vertex and one index that no chunk names are not.
-        self._vertex_buffer = gl.buffer(batches.vertices.tobytes() or bytes(batches.vertices.dtype.itemsize))
-        self._index_buffer = gl.buffer(batches.indices.tobytes() or bytes(4))
+    def __init__(
+        self, context: GlContext, batches: Batches, light: LightSpec, *, detail_px: float = 0.5, cull: bool = True
+    ) -> None:
+        self._context, self._gl = context, GL.Gl(context)
+        self._batches, self._visibility = batches, Visibility(batches)
+        self._detail_px, self._cull = detail_px, cull
+        self._occlusion = cull and context.device.software
+        self._blend = np.array([b.kind == "blend" for b in batches.batches], dtype=bool)[self._visibility.batch_of]
+        self._programs: dict[tuple[str, ...], moderngl.Program] = {}
+        self._buffers: list[int] = []
+        self._array = 0
+        self._lighting: Lighting | None = None
+        self._dressing: Dressing | None = None
+        self._shadow: SunShadow | None = None
+        self.textures: list[int] = []
         self.texture_bytes = 0
-        self.textures = [self._upload(gl, t) for t in batches.textures]
-        white = TextureSource("", np.full((1, 1, 4), 255, dtype=np.uint8))
-        self.textures.append(self._upload(gl, white))  # number -1
-        to_sun = -np.asarray(light.sun_direction, dtype=np.float64)
-        self._to_sun = to_sun / max(float(np.linalg.norm(to_sun)), 1e-12)
-        self._background = [linear_from_srgb(c) for c in light.background]
-        self._pass(())  # the usual shaders now, so that the first image does not wait for them
+        self.warnings: tuple[str, ...] = ()
+        """What of the light was left out, one line each."""
+        self.drawn_triangles = 0
+        """Of the last call of ``draw``."""
+        try:
+            self._load(light)
+        except BaseException:
+            self.close()
+            raise
 
-    def _pass(self, features: tuple[Feature, ...]) -> _Pass:
-        """Returns the programs that fill these further outputs; makes them at their first use."""
-        if features not in self._passes:
-            defines = "".join(f"#define {name}\n" for name in features)
-            programs = []
-            for cut in ("", "#define CUT\n"):
-                vertex, fragment = (f"#version 330 core\n{defines}{cut}{_shader(f'scene.{kind}')}" for kind in ("vert", "frag"))
-                programs.append(self._gl.program(vertex_shader=vertex, fragment_shader=fragment))
-                programs[-1]["u_sun"] = self._light.sun
-                programs[-1]["u_ambient"] = self._light.ambient
-                programs[-1]["u_texture"] = 0
-            content = [(self._vertex_buffer, _VERTEX_FORMAT, *_VERTEX_NAMES)]
-            arrays = [self._gl.vertex_array(p, content, self._index_buffer, skip_errors=True) for p in programs]
-            self._passes[features] = _Pass(features, tuple(programs), tuple(arrays))
-        return self._passes[features]
+    def _load(self, light: LightSpec) -> None:
+        gl, b = self._gl, self._batches
+        self._vertices = self._buffer(b.vertices if len(b.vertices) else np.zeros(1, VERTEX))
+        self._indices = self._buffer(b.indices if len(b.indices) else np.zeros(1, np.uint32))
+        self._materials = self._buffer(b.materials if len(b.materials) else np.zeros(1, MATERIAL))
+        links = int(max(b.chunk_link.max(initial=0), b.group_link.max(initial=0))) + 1
+        self._link_numbers = self._buffer(np.arange(links, dtype=np.uint32))
+        self._links, self._links_before, self._views, self._command_buffer = (self._buffer(None) for _ in range(4))
+        self._array = gl.create("glCreateVertexArrays")
+        for location, numbers, kind, normalised, name in _ATTRIBUTES:
+            offset = VERTEX.fields[name][1]  # type: ignore[index]
+            if normalised is None:
+                gl.glVertexArrayAttribIFormat(self._array, location, numbers, kind, offset)
+            else:
+                gl.glVertexArrayAttribFormat(self._array, location, numbers, kind, normalised, offset)
+            gl.glVertexArrayAttribBinding(self._array, location, 0)
+            gl.glEnableVertexArrayAttrib(self._array, location)
+        # One number for each instance, of which there is one in each draw: its base says which link the draw belongs to.
+        gl.glVertexArrayAttribIFormat(self._array, _ATTRIBUTE_LINK, 1, GL.UNSIGNED_INT, 0)
+        gl.glVertexArrayAttribBinding(self._array, _ATTRIBUTE_LINK, 1)
+        gl.glVertexArrayBindingDivisor(self._array, 1, 1)
+        gl.glEnableVertexArrayAttrib(self._array, _ATTRIBUTE_LINK)
+        gl.glVertexArrayVertexBuffer(self._array, 0, self._vertices, 0, VERTEX.itemsize)
+        gl.glVertexArrayVertexBuffer(self._array, 1, self._link_numbers, 0, 4)
+        gl.glVertexArrayElementBuffer(self._array, self._indices)
+        self.textures = [self._texture(t) for t in b.textures]
+        self._looks = self._buffer(b.looks) if len(b.looks) else 0
+        self._dressing = Dressing(self._context, b)
+        self._lighting = Lighting(self._context, light, glossy=any(batch.glossy for batch in b.batches))
+        self.warnings = self._lighting.warnings
+        if light.shadows and b.batches:
+            self._shadow = SunShadow(self._context, -np.asarray(light.sun_direction, dtype=np.float64))
+        for batch in b.batches:
+            self._program(batch, ())  # now, so that the first image does not wait for the compiler
 
-    def _load_functions(self, context: GlContext) -> None:
-        u, i, p = ctypes.c_uint, ctypes.c_int, ctypes.c_void_p
-        load = context.egl.function
-        self._clip_control = load("glClipControl", None, u, u)
-        self._enable = load("glEnable", None, u)
-        self._disable = load("glDisable", None, u)
-        self._depth_func = load("glDepthFunc", None, u)
-        self._depth_mask = load("glDepthMask", None, ctypes.c_ubyte)
-        self._blend_func = load("glBlendFunc", None, u, u)
-        self._clear_floats = load("glClearBufferfv", None, u, i, p)
-        self._clear_integers = load("glClearBufferuiv", None, u, i, p)
-        self._color_mask = load("glColorMaski", None, u, *[ctypes.c_ubyte] * 4)
-        self._use_program = load("glUseProgram", None, u)
-        self._bind_vertex_array = load("glBindVertexArray", None, u)
-        # ModernGL has no call that draws many pieces of one index buffer at once from host memory.
-        self._multi_draw = load("glMultiDrawElements", None, u, p, u, p, i)
+    def _buffer(self, data: NDArray[Any] | None) -> int:
+        buffer = self._gl.create("glCreateBuffers")
+        self._buffers.append(buffer)
+        if data is not None:
+            data = np.ascontiguousarray(data)
+            self._gl.glNamedBufferData(buffer, data.nbytes, data.ctypes.data, GL.STATIC_DRAW)
+        return buffer
 
-    def _upload(self, gl: moderngl.Context, source: TextureSource) -> moderngl.Texture:
-        pixels = source.pixels
+    def _upload(self, buffer: int, data: NDArray[Any]) -> None:
+        self._gl.glNamedBufferData(buffer, data.nbytes, data.ctypes.data, GL.STREAM_DRAW)
+
+    def _texture(self, source: TextureSource) -> int:
+        gl, pixels = self._gl, source.pixels
         height, width = pixels.shape[:2]
-        shrink = MAX_TEXTURE / max(height, width)
+        shrink = gl.integer(GL.MAX_TEXTURE_SIZE) / max(height, width)
         if shrink < 1.0:
-            width, height = max(1, round(width * shrink)), max(1, round(height * shrink))
+            width, height = max(1, int(width * shrink)), max(1, int(height * shrink))
             pixels = np.asarray(cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        if pixels.shape[2] == 3:
-            pixels = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2RGBA), dtype=np.uint8)
+        pixels = np.ascontiguousarray(pixels)
+        texture = gl.create("glCreateTextures", GL.TEXTURE_2D)
+        levels = max(width, height).bit_length()
+        gl.glTextureStorage2D(texture, levels, GL.SRGB8_ALPHA8, width, height)
+        gl.glPixelStorei(GL.UNPACK_ALIGNMENT, 1)
         # Row 0 goes where t = 0 is, so v counts downwards from the top row, as MeshPart has it.
-        texture = gl.texture((width, height), 4, np.ascontiguousarray(pixels).tobytes(), internal_format=_SRGB8_ALPHA8)
-        texture.build_mipmaps()
-        texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+        form = GL.RGB if pixels.shape[2] == 3 else GL.RGBA
+        gl.glTextureSubImage2D(texture, 0, 0, 0, width, height, form, GL.UNSIGNED_BYTE, pixels.ctypes.data)
+        gl.glGenerateTextureMipmap(texture)
+        gl.glTextureParameteri(texture, GL.TEXTURE_MIN_FILTER, GL.LINEAR_MIPMAP_LINEAR)
+        gl.glTextureParameteri(texture, GL.TEXTURE_MAG_FILTER, GL.LINEAR)
         self.texture_bytes += width * height * 4 * 4 // 3
         return texture
 
-    def draw(self, camera: CameraSpec, T_world_camera: Mat4, T_world_links: NDArray[np.float64]) -> None:
-        """Draws what a camera sees into the framebuffer that is bound, with an attachment for each output of the camera.
+    def _program(self, batch: Batch, features: tuple[Feature, ...], *, color: bool = True) -> moderngl.Program:
+        """Returns the program for a batch, compiled at its first use; without colour it fills depth and features only."""
+        cut = batch.kind != "opaque"
+        lights = color and not batch.unlit
+        flags = {
+            "MOVING": batch.moving, "CUT": cut, "UNLIT": not lights, "TEXTURED": batch.texture >= 0 and (cut or color),
+            "ONE_MATERIAL": batch.material >= 0, "NUMBERED": batch.material < 0 or batch.looked,
+            "SURFACE": lights or "FLOW" in features, "TURNED": lights or "NORMALS" in features,
+            "LOOKED": color and batch.looked,
+        }  # fmt: skip
+        assert self._lighting is not None
+        lit = (
+            ()
+            if flags["UNLIT"]
+            else (
+                *self._lighting.defines,
+                *(("GLOSS",) if batch.glossy else ()),
+                *(("MATERIAL_MAPS",) if batch.maps >= 0 else ()),
+            )
+        )
+        defines = (*(name for name, on in flags.items() if on), *lit, *features)
+        if defines not in self._programs:
+            before = (*(() if flags["UNLIT"] else ("lighting.glsl",)), *(("looks.glsl",) if flags["LOOKED"] else ()))
+            program = self._context.gl.program(
+                vertex_shader=shader_text("scene.vert", defines), fragment_shader=shader_text("scene.frag", defines, before)
+            )
+            if "u_texture" in program:
+                program["u_texture"] = 0
+            self._programs[defines] = program
+        return self._programs[defines]
+
+    def set_links(self, T_world_links: F64, before: F64 | None = None) -> None:
+        """Takes the poses for the pictures that follow.
 
         Args:
-            camera: size, intrinsics, near.
-            T_world_camera: (4, 4), optical frame.
             T_world_links: (L + 1, 4, 4): the identity for the world itself, then every link.
+            before: the same of the state before, for the flow; None = nothing has moved.
         """
-        passes = self._pass(features_of(camera.outputs))
-        self._begin(passes.features)
-        if not self._batches.batches:
+        self._T_world_links = T_world_links
+        if len(T_world_links) > 1:
+            self._upload(self._links, np.ascontiguousarray(T_world_links[:, :3], dtype=np.float32))
+            self._upload(
+                self._links_before, np.ascontiguousarray((T_world_links if before is None else before)[:, :3], dtype=np.float32)
+            )
+
+    def draw(self, target: Target, pictures: Sequence[Picture], *, color: bool = True) -> None:
+        """Clears a target and draws pictures into it, with all features that the target has; colours only if asked for."""
+        if color:
+            self._update_shadow()
+        target.use()
+        self._begin(target.features)
+        self.drawn_triangles = 0
+        if not pictures or not (self._batches.batches or (self._lighting is not None and self._lighting.has_sky)):
             return
-        intrinsics = camera.intrinsics()
-        R, t = T_world_camera[:3, :3], T_world_camera[:3, 3]
-        T_camera_links = np.zeros_like(T_world_links)
-        T_camera_links[:, :3] = R.T @ T_world_links[:, :3]
-        T_camera_links[:, :3, 3] -= R.T @ t
-        T_camera_links[:, 3, 3] = 1.0
-        rotations = T_world_links[:, :3, :3]
-        eyes = np.einsum("lji,lj->li", rotations, t - T_world_links[:, :3, 3])
-        planes = frustum_planes(intrinsics, camera.width, camera.height, camera.near)
-        visible, distance = visible_chunks(self._batches, planes, T_camera_links, eyes)
-        # The flip: optical y points down and clip y points up, so row 0 of the image comes first in OpenGL's bottom-up memory.
-        clip_from_links = clip_from_optical(intrinsics, camera.width, camera.height, camera.near) @ T_camera_links
-        frames = _LinkFrames(
-            clip_from_links, eyes, np.einsum("lji,j->li", rotations, self._to_sun), rotations[:, 2, :], R.T @ rotations
-        )
-        self._draw_chunks(visible, distance, _Drawer(self, passes, frames))
+        views = np.zeros(len(pictures), dtype=_VIEW)
+        plans = [self._plan(picture, views[k]) for k, picture in enumerate(pictures)]
+        self._upload(self._views, views)
+        self._bind()
+        if self._occlusion and sum(plan.triangles for plan in plans) >= _OCCLUSION_FROM:
+            self._run(target, [self._commands(plan.near) for plan in plans], plans, color, last=False)
+            depth = self._read_depth(target)
+            late = [self._commands(self._not_hidden(plan, depth), plan.back if color else None) for plan in plans]
+        else:
+            late = [self._commands(np.concatenate([plan.near, plan.far]), plan.back if color else None) for plan in plans]
+        self._run(target, late, plans, color, last=True)
+
+    def _read_depth(self, target: Target) -> NDArray[np.float32]:
+        """Returns what the target has so far: near / depth, (H, W)."""
+        out = np.empty((target.height, target.width), dtype=np.float32)
+        self._gl.glReadPixels(0, 0, target.width, target.height, GL.DEPTH_COMPONENT, GL.FLOAT, out.ctypes.data)
+        return out
+
+    def _not_hidden(self, plan: _Plan, depth: NDArray[np.float32]) -> I64:
+        """Returns the far chunks that may be seen past the near ones."""
+        p = plan.picture
+        pyramid = DepthPyramid(depth[p.y : p.y + p.height, p.x : p.x + p.width])
+        b = self._batches
+        links = b.chunk_link[plan.far]
+        T_camera_box = plan.T_camera_links[links] if links.any() else plan.T_camera_links[0]
+        seen: I64 = plan.far[~hidden(pyramid, b.chunk_box[plan.far], T_camera_box, p.intrinsics, p.near)]
+        return seen
+
+    def _bind(self) -> None:
+        gl = self._gl
+        gl.glBindVertexArray(self._array)
+        gl.glBindBuffer(GL.DRAW_INDIRECT_BUFFER, self._command_buffer)
+        assert self._lighting is not None and self._dressing is not None
+        self._lighting.bind()
+        self._dressing.bind()
+        if self._shadow is not None:
+            self._shadow.bind()
+        if self._looks:
+            gl.glBindBufferBase(GL.SHADER_STORAGE_BUFFER, _LOOKS, self._looks)
+        for binding, buffer in ((_LINKS, self._links), (_LINKS_BEFORE, self._links_before), (_MATERIALS, self._materials)):
+            gl.glBindBufferBase(GL.SHADER_STORAGE_BUFFER, binding, buffer)
 
     def _begin(self, features: tuple[Feature, ...]) -> None:
-        self._clip_control(_LOWER_LEFT, _ZERO_TO_ONE)
-        self._enable(_DEPTH_TEST)
-        self._enable(_FRAMEBUFFER_SRGB)
-        for state in (_CULL_FACE, _BLEND, _PRIMITIVE_RESTART):
-            self._disable(state)
-        self._depth_func(_GREATER)
-        self._depth_mask(1)
+        gl = self._gl
+        gl.glClipControl(GL.LOWER_LEFT, GL.ZERO_TO_ONE)
+        gl.glEnable(GL.DEPTH_TEST)
+        gl.glEnable(GL.FRAMEBUFFER_SRGB)
+        for state in (GL.CULL_FACE, GL.BLEND, GL.PRIMITIVE_RESTART, GL.SCISSOR_TEST):
+            gl.glDisable(state)
+        gl.glDepthFunc(GL.GREATER)
+        gl.glFrontFace(GL.CLOCKWISE)  # the flip of the picture turns them round
+        gl.glDepthMask(1)
         nothing = np.zeros(4, dtype=np.float32)
-        self._clear_floats(_DEPTH, 0, nothing.ctypes.data)
-        self._clear_floats(_COLOR, 0, np.array([*self._background, 1.0], dtype=np.float32).ctypes.data)
+        unknown = np.full(4, np.nan, dtype=np.float32)
+        gl.glClearBufferfv(GL.DEPTH, 0, nothing.ctypes.data)
+        assert self._lighting is not None
+        gl.glClearBufferfv(GL.COLOR, 0, self._lighting.background.ctypes.data)
         for feature in features:
-            clear = self._clear_integers if feature == "LABELS" else self._clear_floats
-            clear(_COLOR, ATTACHMENT[feature], nothing.ctypes.data)
+            clear = gl.glClearBufferuiv if feature == "LABELS" else gl.glClearBufferfv
+            clear(GL.COLOR, ATTACHMENT[feature], (unknown if feature == "FLOW" else nothing).ctypes.data)
 
-    def _draw_chunks(self, visible: NDArray[np.bool_], distance: NDArray[np.float64], drawer: _Drawer) -> None:
-        """Draws solid things front to back, then what shines through, back to front and without depth."""
-        batches = self._batches.batches
-        # The order does not depend on what is visible, so culling cannot change a pixel.
-        nearest = np.minimum.reduceat(distance, [b.first_chunk for b in batches])
-        order = [batches[i] for i in np.argsort(nearest, kind="stable")]
-        for kinds, variant in ((("opaque",), OPAQUE), (("mask", "blend"), CUT)):
-            for batch in order:
-                if batch.kind in kinds:
-                    chunks = np.arange(batch.first_chunk, batch.end_chunk)
-                    chunks = chunks[np.argsort(distance[chunks], kind="stable")]
-                    drawer.draw(batch, chunks[visible[chunks]] if self._cull else chunks, variant)
-        if any(batch.kind == "blend" for batch in batches):
-            self._draw_translucent(visible, distance, drawer)
+    def _plan(self, picture: Picture, view: NDArray[np.void]) -> _Plan:
+        """Chooses what to draw of one picture, and fills its ``view``."""
+        T_camera_links, eyes = link_frames(picture.T_world_camera, self._T_world_links)
+        # The flip: optical y points down and clip y points up, so row 0 of the image comes first in OpenGL's bottom-up memory.
+        projection = clip_from_optical(picture.intrinsics, picture.width, picture.height, picture.near)
+        before = picture.T_world_camera if picture.T_world_camera_before is None else picture.T_world_camera_before
+        view["clip"] = (projection @ T_camera_links[0]).T
+        view["clip_before"] = (projection @ link_frames(before, self._T_world_links[:1])[0][0]).T
+        view["optical"][:3, :3] = picture.T_world_camera[:3, :3]  # transposed once to turn, once to be by columns
+        view["eye"][:3] = eyes[0]
+        view["size"][:3] = picture.width, picture.height, picture.near
+        focal = float(max(abs(picture.intrinsics[0, 0]), abs(picture.intrinsics[1, 1])))
+        chunks = self._visibility.choose(eyes, Detail(focal, self._detail_px, picture.near))
+        if self._cull:
+            planes = frustum_planes(picture.intrinsics, picture.width, picture.height, picture.near)
+            chunks = chunks[self._visibility.inside(chunks, planes, T_camera_links)]
+        b = self._batches
+        distance = self._visibility.distances(chunks, eyes)
+        chunks = chunks[np.argsort(distance, kind="stable")]
+        back = chunks[self._blend[chunks]][::-1]
+        triangles = np.cumsum(b.chunk_count[chunks]) // 3
+        total = int(triangles[-1]) if len(chunks) else 0
+        split = int(np.searchsorted(triangles, total * _NEAR_PART))
+        return _Plan(picture, T_camera_links, chunks[:split], chunks[split:], back, total)
 
-    def _draw_translucent(self, visible: NDArray[np.bool_], distance: NDArray[np.float64], drawer: _Drawer) -> None:
-        pieces = [
-            (chunk, batch)
-            for batch in self._batches.batches
-            if batch.kind == "blend"
-            for chunk in range(batch.first_chunk, batch.end_chunk)
-        ]
-        pieces = [p for p in pieces if visible[p[0]] or not self._cull]
-        self._enable(_BLEND)
-        self._blend_func(_SRC_ALPHA, _ONE_MINUS_SRC_ALPHA)
-        self._depth_mask(0)
-        self._mask_features(drawer.features, 0)  # labels and normals are those of the solid surface behind, as the depth is
-        drawer.set_translucent(True)
-        pieces.sort(key=lambda p: -float(distance[p[0]]))
-        for batch, run in groupby(pieces, key=lambda p: p[1]):
-            drawer.draw(batch, np.array([chunk for chunk, _ in run]), CUT)
-        self._depth_mask(1)
-        self._mask_features(drawer.features, 1)
-        self._disable(_BLEND)
+    def _commands(self, solid: I64, back: I64 | None = None) -> _Commands:
+        """Returns draws of solid things batch by batch, in the order given; then of what shines through, in the order given."""
+        b, batch_of = self._batches, self._visibility.batch_of
+        pieces: list[I64] = []
+        runs: list[tuple[int, int, bool]] = []
+        # The order of batches is that of their first chunk, but what has holes comes after what has none.
+        present, first = np.unique(batch_of[solid], return_index=True)
+        for k in sorted(present.tolist(), key=lambda k: (b.batches[k].kind != "opaque", first[np.searchsorted(present, k)])):
+            pieces.append(solid[batch_of[solid] == k])
+            runs.append((k, len(pieces[-1]), False))
+        if back is not None and len(back):
+            pieces.append(back)
+            starts = np.flatnonzero(np.diff(batch_of[back], prepend=-1))
+            counts = np.diff([*starts.tolist(), len(back)])
+            runs += [(int(batch_of[back[s]]), int(n), True) for s, n in zip(starts, counts, strict=True)]
+        every = np.concatenate(pieces) if pieces else solid
+        commands = np.zeros(len(every), dtype=_COMMAND)
+        commands["count"], commands["first"] = b.chunk_count[every], b.chunk_first[every]
+        commands["instances"], commands["base_instance"] = 1, b.chunk_link[every]
+        return _Commands(commands, runs)
+
+    def _run(self, target: Target, commands: Sequence[_Commands], plans: Sequence[_Plan], color: bool, *, last: bool) -> None:
+        """Sends the draws of each picture; after the last solid ones come the sky and what shines through."""
+        every = np.concatenate([c.draws for c in commands])
+        if len(every):
+            self._upload(self._command_buffer, every)
+        self.drawn_triangles += int(every["count"].sum()) // 3
+        first = 0
+        for k, (c, plan) in enumerate(zip(commands, plans, strict=True)):
+            p = plan.picture
+            self._gl.glViewport(p.x, p.y, p.width, p.height)
+            self._gl.glBindBufferRange(GL.UNIFORM_BUFFER, _VIEWS, self._views, k * _VIEW.itemsize, _VIEW.itemsize)
+            self._run_picture(c, first, target.features, color, last)
+            first += len(c.draws)
+
+    def _run_picture(self, commands: _Commands, first: int, features: tuple[Feature, ...], color: bool, last: bool) -> None:
+        gl = self._gl
+        blending = False
+        assert self._lighting is not None
+        for number, count, translucent in commands.runs:
+            batch = self._batches.batches[number]
+            if translucent and not blending:
+                blending = True
+                self._draw_sky(features)
+                gl.glEnable(GL.BLEND)
+                gl.glBlendFunc(GL.SRC_ALPHA, GL.ONE_MINUS_SRC_ALPHA)
+                gl.glDepthMask(0)
+                self._mask_features(features, 0)  # labels and normals are those of the solid surface behind, as the depth is
+            program = self._program(batch, features, color=color)
+            self._prepare(program, batch, translucent)
+            gl.glMultiDrawElementsIndirect(GL.TRIANGLES, GL.UNSIGNED_INT, first * _COMMAND.itemsize, count, _COMMAND.itemsize)
+            first += count
+        if blending:
+            gl.glDepthMask(1)
+            self._mask_features(features, 1)
+            gl.glDisable(GL.BLEND)
+        elif last and color:
+            self._draw_sky(features)
+
+    def _draw_sky(self, features: tuple[Feature, ...]) -> None:
+        assert self._lighting is not None
+        self._lighting.draw_sky(features)
+        self._gl.glBindVertexArray(self._array)
+
+    def _update_shadow(self) -> None:
+        if self._shadow is not None and self._lighting is not None:
+            shadow_from_world = self._shadow.update(self, self._T_world_links)
+            self._lighting.set_shadow(shadow_from_world, self._shadow.texel, self._shadow.size)
+
+    def moves(self) -> bool:
+        """Whether anything belongs to a link."""
+        return any(batch.moving for batch in self._batches.batches)
+
+    def bounds(self, T_world_links: F64) -> F64:
+        """Returns the box of all that is there, (2, 3), world frame, metres."""
+        return self._visibility.bounds(T_world_links)
+
+    def draw_depth(self, clip_from_world: Mat4, T_world_links: F64, texel: float, *, static: bool, moving: bool) -> None:
+        """Draws solid things into the depth buffer that is bound; ``set_links`` must have had these poses.
+
+        Args:
+            clip_from_world: (4, 4), parallel rays.
+            T_world_links: (L + 1, 4, 4).
+            texel: metres: surfaces may be so far from where they are.
+            static: what belongs to the world.
+            moving: what belongs to links.
+        """
+        b, batch_of = self._batches, self._visibility.batch_of
+        wanted = np.array([moving if batch.moving else static for batch in b.batches], dtype=bool)
+        chunks = self._visibility.choose_for(texel)
+        commands = self._commands(chunks[wanted[batch_of[chunks]]])
+        if not len(commands.draws):
+            return
+        view = np.zeros(1, dtype=_VIEW)
+        view["clip"][0] = clip_from_world.T
+        self._upload(self._views, view)
+        self._upload(self._command_buffer, commands.draws)
+        self._bind()
+        self._gl.glBindBufferRange(GL.UNIFORM_BUFFER, _VIEWS, self._views, 0, _VIEW.itemsize)
+        first = 0
+        for number, count, _ in commands.runs:
+            batch = b.batches[number]
+            program = self._program(batch, (), color=False)
+            self._prepare(program, batch, translucent=False)
+            self._gl.glMultiDrawElementsIndirect(
+                GL.TRIANGLES, GL.UNSIGNED_INT, first * _COMMAND.itemsize, count, _COMMAND.itemsize
+            )
+            first += count
+
+    def _prepare(self, program: moderngl.Program, batch: Batch, translucent: bool) -> None:
+        gl = self._gl
+        if batch.kind != "opaque":
+            program["u_translucent"] = translucent
+        if batch.material >= 0:
+            row = self._batches.materials[batch.material]
+            for name, column in (("u_color", "color"), ("u_surface", "surface"), ("u_glow", "glow"), ("u_maps", "maps")):
+                if name in program:
+                    program[name].write(np.ascontiguousarray(row[column]))  # type: ignore[union-attr]
+        if batch.texture >= 0:
+            gl.glBindTextureUnit(0, self.textures[batch.texture])
+            gl.glBindSampler(0, 0)
+        if batch.maps >= 0 and self._dressing is not None:
+            self._dressing.bind_maps(batch.maps)
+        gl.glUseProgram(program.glo)
 
     def _mask_features(self, features: tuple[Feature, ...], write: int) -> None:
         for feature in features:
-            self._color_mask(ATTACHMENT[feature], write, write, write, write)
-
-    def draw_elements(self, passes: _Pass, variant: int, chunks: NDArray[np.int64]) -> None:
-        """Draws chunks with what is set."""
-        counts = np.ascontiguousarray(self._batches.chunk_count[chunks])
-        offsets = self._batches.chunk_first[chunks].astype(np.uintp) * self._batches.indices.itemsize
-        self._use_program(passes.programs[variant].glo)
-        self._bind_vertex_array(passes.arrays[variant].glo)
-        self._multi_draw(_TRIANGLES, counts.ctypes.data, _UNSIGNED_INT, offsets.ctypes.data, len(chunks))
+            self._gl.glColorMaski(ATTACHMENT[feature], write, write, write, write)
 
     def close(self) -> None:
         """Frees everything; a second call does nothing."""
-        arrays = [a for p in self._passes.values() for a in p.arrays]
-        programs = [program for p in self._passes.values() for program in p.programs]
-        handles: tuple[Any, ...] = (*arrays, self._vertex_buffer, self._index_buffer, *self.textures, *programs)
-        self._passes, self.textures = {}, []
-        for handle in handles:
-            handle.release()
+        gl, programs = self._gl, self._programs
+        textures, buffers = self.textures, self._buffers
+        self._programs, self.textures, self._buffers = {}, [], []
+        for part in (self._lighting, self._dressing, self._shadow):
+            if part is not None:
+                part.close()
+        for texture in textures:
+            gl.delete("glDeleteTextures", texture)
+        for buffer in buffers:
+            gl.delete("glDeleteBuffers", buffer)
+        if self._array:
+            gl.delete("glDeleteVertexArrays", self._array)
+            self._array = 0
+        for program in programs.values():
+            program.release()
 
 
-@dataclass(frozen=True, slots=True)
-class _Pass:
-    """The two programs that fill one set of outputs, and the vertex arrays that feed them."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plan:
+    """What to draw of one picture."""
 
-    features: tuple[Feature, ...]
-    programs: tuple[moderngl.Program, ...]
-    arrays: tuple[moderngl.VertexArray, ...]
-
-
-class _LinkFrames:
-    """What the shaders need to know of each link, ready to be sent."""
-
-    def __init__(
-        self,
-        clip: NDArray[np.float64],
-        eyes: NDArray[np.float64],
-        to_sun: NDArray[np.float64],
-        up: NDArray[np.float64],
-        optical: NDArray[np.float64],
-    ) -> None:
-        self.clip = np.ascontiguousarray(clip.transpose(0, 2, 1), dtype=np.float32)  # OpenGL takes columns
-        self.optical = np.ascontiguousarray(optical.transpose(0, 2, 1), dtype=np.float32)
-        self.vectors = {"u_eye": eyes.astype(np.float32), "u_to_sun": to_sun.astype(np.float32), "u_up": up.astype(np.float32)}
+    picture: Picture
+    T_camera_links: F64
+    near: I64
+    """The nearest chunks, the nearest first."""
+    far: I64
+    """The others, the nearest first."""
+    back: I64
+    """Those that something may shine through, the farthest first."""
+    triangles: int
 
 
-class _Drawer:
-    """Sends draw calls for one image, and remembers what is set already."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Commands:
+    """Draw commands of one picture, and the runs of them that share their settings."""
 
-    def __init__(self, scene: GlScene, passes: _Pass, frames: _LinkFrames) -> None:
-        self._scene, self._passes, self._frames = scene, passes, frames
-        self.features = passes.features
-        self._texture: int | None = None
-        self._link_of: list[int | None] = [None, None]
-        self.set_translucent(False)
-
-    def set_translucent(self, translucent: bool) -> None:
-        """Chooses which part of masked and blended surfaces is drawn: the solid one, or the one that shines through."""
-        self._passes.programs[CUT]["u_translucent"] = translucent
-
-    def draw(self, batch: Batch, chunks: NDArray[np.int64], variant: int) -> None:
-        """Draws chunks of a batch with one of the two programs."""
-        if not len(chunks):
-            return
-        scene, program = self._scene, self._passes.programs[variant]
-        if self._link_of[variant] != batch.link:
-            self._link_of[variant] = batch.link
-            program["u_clip_from_link"].write(self._frames.clip[batch.link])  # type: ignore[union-attr]
-            for name, vectors in self._frames.vectors.items():
-                program[name].write(vectors[batch.link])  # type: ignore[union-attr]
-            if "NORMALS" in self.features:
-                program["u_optical_from_link"].write(self._frames.optical[batch.link])  # type: ignore[union-attr]
-        if self._texture != batch.texture:
-            self._texture = batch.texture
-            scene.textures[batch.texture].use(0)
-        scene.draw_elements(self._passes, variant, chunks)
+    draws: NDArray[np.void]
+    runs: list[tuple[int, int, bool]]
+    """(batch, how many draws, draw what shines through), in the order of the draws."""

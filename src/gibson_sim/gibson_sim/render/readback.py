@@ -1,151 +1,157 @@
-"""What is drawn into, and how it comes back to memory: an sRGB colour image and a float depth image of one size.
-
-Further outputs are further colour attachments of the same framebuffer, filled in the same pass, and there only if asked for.
-"""
+"""What was drawn comes back to memory, and becomes the arrays of a ``Frame``."""
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Sequence
-from typing import Any, Literal
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.errors import RenderError
+from gibson_sim.geometry import projections
+from gibson_sim.geometry.transforms import Mat4
+from gibson_sim.render import gl as GL
 from gibson_sim.render.context import GlContext
-from gibson_sim.types import Output
+from gibson_sim.render.target import ATTACHMENT, Target
+from gibson_sim.types import CameraSpec, Frame, Output
 
-Feature = Literal["LABELS", "NORMALS"]
-"""A further output, named as the shaders know it."""
-ATTACHMENT: dict[Feature, int] = {"LABELS": 1, "NORMALS": 2}
-"""Number of its colour attachment."""
-
-_FRAMEBUFFER, _RENDERBUFFER = 0x8D40, 0x8D41
-_COLOR_ATTACHMENT0, _DEPTH_ATTACHMENT = 0x8CE0, 0x8D00
-_SRGB8_ALPHA8, _DEPTH_COMPONENT32F = 0x8C43, 0x8CAC
-_FORMATS: dict[Feature, int] = {"LABELS": 0x823A, "NORMALS": 0x805B}  # two 16-bit integers; four 16-bit fractions
-_COMPLETE = 0x8CD5
-_RGBA, _DEPTH_COMPONENT, _UNSIGNED_BYTE, _FLOAT = 0x1908, 0x1902, 0x1401, 0x1406
-_RG_INTEGER, _UNSIGNED_SHORT = 0x8228, 0x1403
-_PACK_ALIGNMENT, _MAX_RENDERBUFFER_SIZE = 0x0D05, 0x84E8
-
-_U, _I, _P = ctypes.c_uint, ctypes.c_int, ctypes.c_void_p
-_PROTOTYPES: dict[str, tuple[Any, ...]] = {
-    "glGenFramebuffers": (None, _I, _P),
-    "glGenRenderbuffers": (None, _I, _P),
-    "glDeleteFramebuffers": (None, _I, _P),
-    "glDeleteRenderbuffers": (None, _I, _P),
-    "glBindFramebuffer": (None, _U, _U),
-    "glBindRenderbuffer": (None, _U, _U),
-    "glRenderbufferStorage": (None, _U, _U, _I, _I),
-    "glFramebufferRenderbuffer": (None, _U, _U, _U, _U),
-    "glCheckFramebufferStatus": (_U, _U),
-    "glGetIntegerv": (None, _U, _P),
-    "glGetError": (_U,),
-    "glViewport": (None, _I, _I, _I, _I),
-    "glPixelStorei": (None, _U, _I),
-    "glDrawBuffers": (None, _I, _P),
-    "glReadBuffer": (None, _U),
-    "glReadPixels": (None, _I, _I, _I, _I, _U, _U, _P),
+F32 = NDArray[np.float32]
+_RAW: dict[str, tuple[int, int, int, type[np.generic]]] = {
+    # Four bytes a pixel is what drivers store and copy at once; dropping alpha on the host takes far less than their conversion.
+    "color": (GL.RGBA, GL.UNSIGNED_BYTE, 4, np.uint8),
+    "depth": (GL.DEPTH_COMPONENT, GL.FLOAT, 1, np.float32),
+    "LABELS": (GL.RG_INTEGER, GL.UNSIGNED_SHORT, 2, np.uint16),
+    "NORMALS": (GL.RGBA, GL.UNSIGNED_SHORT, 4, np.uint16),
+    "FLOW": (GL.RG, GL.FLOAT, 2, np.float32),
 }
+"""OpenGL's format and type, numbers a pixel, their type."""
+UNIT = np.float32(2.0 / 65535.0)
+"""Normals are stored as fractions of 65535: ``fraction * UNIT - 1``."""
 
 
-def features_of(outputs: Sequence[Output]) -> tuple[Feature, ...]:
-    """Returns what must be drawn beside colour and depth."""
-    labels: tuple[Feature, ...] = ("LABELS",) if {"semantic", "instance"} & set(outputs) else ()
-    return (*labels, "NORMALS") if "normal" in outputs else labels
+@dataclass(frozen=True, slots=True, eq=False)
+class Shot:
+    """One camera's image in a target."""
+
+    camera: CameraSpec
+    stamp_ns: int
+    T_world_camera: Mat4
+    x: int = 0
+    """Column of its left edge in the target."""
+    y: int = 0
+    """Row of its top edge."""
 
 
-class Target:
-    """A framebuffer of one size. ModernGL offers neither a 32-bit float depth nor an sRGB renderbuffer, hence plain OpenGL.
+class Readback:
+    """Reads targets of one context into memory."""
 
-    Raises:
-        RenderError: the driver cannot make one so large.
-    """
+    def __init__(self, context: GlContext) -> None:
+        self._gl = GL.Gl(context)
+        self._memory: dict[tuple[str, int, int], NDArray[Any]] = {}
 
-    def __init__(self, context: GlContext, width: int, height: int, features: tuple[Feature, ...] = ()) -> None:
-        self.width, self.height = width, height
-        self._framebuffer = _U(0)
-        formats = [(_COLOR_ATTACHMENT0, _SRGB8_ALPHA8), (_DEPTH_ATTACHMENT, _DEPTH_COMPONENT32F)]
-        formats += [(_COLOR_ATTACHMENT0 + ATTACHMENT[f], _FORMATS[f]) for f in features]
-        self._buffers = (_U * len(formats))()
-        self._gl = {name: context.egl.function(name, *prototype) for name, prototype in _PROTOTYPES.items()}
+    def frames(self, target: Target, shots: Sequence[Shot]) -> list[Frame]:
+        """Returns the frames of images that a target holds; the arrays belong to the caller."""
+        raw = {name: self._read(target, name) for name in needed(target, shots)}
+        return [frame_from_raw(shot, raw) for shot in shots]
+
+    def _read(self, target: Target, name: str) -> NDArray[Any]:
+        """Returns an attachment, (H, W, ...); the memory is used again by the next call."""
+        form, kind, numbers, dtype = _RAW[name]
+        key = (name, target.width, target.height)
+        if key not in self._memory:
+            if len(self._memory) > 64:
+                self._memory.clear()
+            shape = (target.height, target.width) if numbers == 1 else (target.height, target.width, numbers)
+            self._memory[key] = np.empty(shape, dtype=dtype)
+        out = self._memory[key]
         gl = self._gl
-        limit = _I(0)
-        gl["glGetIntegerv"](_MAX_RENDERBUFFER_SIZE, ctypes.byref(limit))
-        if max(width, height) > limit.value:
-            raise RenderError(
-                f"image size is {width}x{height}, {context.device.renderer} draws at most {limit.value} pixels a side"
-            )
-        try:
-            gl["glGenFramebuffers"](1, ctypes.byref(self._framebuffer))
-            gl["glBindFramebuffer"](_FRAMEBUFFER, self._framebuffer)
-            gl["glGenRenderbuffers"](len(formats), self._buffers)
-            for buffer, (attachment, form) in zip(self._buffers, formats, strict=True):
-                gl["glBindRenderbuffer"](_RENDERBUFFER, buffer)
-                gl["glRenderbufferStorage"](_RENDERBUFFER, form, width, height)
-                gl["glFramebufferRenderbuffer"](_FRAMEBUFFER, attachment, _RENDERBUFFER, buffer)
-            drawn = {a for a, _ in formats}
-            outputs = [a if a in drawn else 0 for a in range(_COLOR_ATTACHMENT0, _COLOR_ATTACHMENT0 + 1 + len(ATTACHMENT))]
-            gl["glDrawBuffers"](len(outputs), (_U * len(outputs))(*outputs))
-            status = gl["glCheckFramebufferStatus"](_FRAMEBUFFER)
-            if status != _COMPLETE or gl["glGetError"]():
-                raise RenderError(
-                    f"the driver cannot draw an image of {width}x{height} pixels (status 0x{status:x}); choose a smaller one"
-                )
-        except BaseException:
-            self.close()
-            raise
-        self._rgba = np.empty((height, width, 4), dtype=np.uint8)
+        gl.glBindFramebuffer(GL.FRAMEBUFFER, target.framebuffer)
+        gl.glReadBuffer(GL.COLOR_ATTACHMENT0 + ATTACHMENT.get(name, 0))
+        gl.glPixelStorei(GL.PACK_ALIGNMENT, 1)
+        gl.glReadPixels(0, 0, target.width, target.height, form, kind, out.ctypes.data)
+        return out
 
-    def use(self) -> None:
-        """Sends what is drawn from now on here."""
-        self._gl["glBindFramebuffer"](_FRAMEBUFFER, self._framebuffer)
-        self._gl["glViewport"](0, 0, self.width, self.height)
 
-    def read_rgb(self) -> NDArray[np.uint8]:
-        """Returns a new (H, W, 3) uint8 sRGB image, row 0 = top."""
-        # Four bytes a pixel is what drivers store and copy at once; dropping alpha here takes far less than their conversion.
-        self._read(_RGBA, _UNSIGNED_BYTE, self._rgba)
-        rgb = np.empty((self.height, self.width, 3), dtype=np.uint8)
-        cv2.cvtColor(self._rgba, cv2.COLOR_RGBA2RGB, dst=rgb)
-        return rgb
+def needed(target: Target, shots: Sequence[Shot]) -> list[str]:
+    """Returns which textures of a target the frames of its images are made from."""
+    outputs = {output for shot in shots for output in shot.camera.outputs}
+    return [name for name in ("color", "depth", *target.features) if _needed(name, outputs)]
 
-    def read_depth(self, near: float, far: float) -> NDArray[np.float32]:
-        """Returns a new (H, W) float32 depth image, metres along the axis, +inf = nothing nearer than ``far``, row 0 = top."""
-        depth = np.empty((self.height, self.width), dtype=np.float32)
-        self._read(_DEPTH_COMPONENT, _FLOAT, depth)
-        np.copyto(depth, 0.0, where=depth < near / far)
-        with np.errstate(divide="ignore"):
-            np.divide(np.float32(near), depth, out=depth)
-        return depth
 
-    def read_labels(self) -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-        """Returns new (H, W) uint16 images of semantic classes and of instances, 0 = nothing, row 0 = top."""
-        both = np.empty((self.height, self.width, 2), dtype=np.uint16)
-        self._read(_RG_INTEGER, _UNSIGNED_SHORT, both, ATTACHMENT["LABELS"])
-        return np.ascontiguousarray(both[:, :, 0]), np.ascontiguousarray(both[:, :, 1])
+def _needed(name: str, outputs: set[Output]) -> bool:
+    if name == "color":
+        return "rgb" in outputs
+    return name != "depth" or bool({"depth", "position"} & outputs)
 
-    def read_normals(self) -> NDArray[np.float32]:
-        """Returns a new (H, W, 3) float32 image of unit normals in the optical frame, 0 = nothing, row 0 = top."""
-        # Fractions of 16 bits: finer than half floats where it matters, and half the bytes of whole ones.
-        fractions = np.empty((self.height, self.width, 4), dtype=np.uint16)
-        self._read(_RGBA, _UNSIGNED_SHORT, fractions, ATTACHMENT["NORMALS"])
-        normals = np.multiply(cv2.cvtColor(fractions, cv2.COLOR_RGBA2RGB), np.float32(2.0 / 65535.0), dtype=np.float32)
-        normals -= 1.0
-        normals[fractions[:, :, 3] == 0] = 0.0
-        return normals
 
-    def _read(self, form: int, kind: int, out: NDArray[Any], attachment: int = 0) -> None:
-        self._gl["glReadBuffer"](_COLOR_ATTACHMENT0 + attachment)
-        self._gl["glPixelStorei"](_PACK_ALIGNMENT, 1)
-        self._gl["glReadPixels"](0, 0, self.width, self.height, form, kind, out.ctypes.data)
+def frame_from_raw(shot: Shot, raw: dict[str, NDArray[Any]]) -> Frame:
+    """Returns the frame of an image in attachments as they were read; nothing of them is kept.
 
-    def close(self) -> None:
-        """Frees it; a second call does nothing. The context must be current."""
-        if self._framebuffer.value:
-            self._gl["glDeleteFramebuffers"](1, ctypes.byref(self._framebuffer))
-            self._gl["glDeleteRenderbuffers"](len(self._buffers), self._buffers)
-            self._framebuffer = _U(0)
+    Args:
+        shot: which image.
+        raw: "color" (H, W, 4) uint8; "depth" (H, W) float32, near / depth, 0 = nothing; "LABELS" (H, W, 2) uint16; "NORMALS"
+            (H, W, 4) uint16, fractions; "FLOW" (H, W, 2) float32. Row 0 = top.
+    """
+    camera = shot.camera
+    outputs = camera.outputs
+    part = {name: a[shot.y : shot.y + camera.height, shot.x : shot.x + camera.width] for name, a in raw.items()}
+    R = shot.T_world_camera[:3, :3].astype(np.float32)
+    depth = _depth(part["depth"], camera) if {"depth", "position"} & set(outputs) else None
+    normal = _normals(part["NORMALS"]) if {"normal", "normal_world"} & set(outputs) else None
+    position = None
+    if "position" in outputs:
+        assert depth is not None
+        with np.errstate(invalid="ignore"):  # 0 times infinity: straight ahead, and nothing there
+            seen = rays_f32(camera) * depth[:, :, None]
+        position = _turned(R, seen, shot.T_world_camera[:3, 3].astype(np.float32))
+        position[~np.isfinite(depth)] = np.nan
+    return Frame(
+        camera,
+        shot.stamp_ns,
+        shot.T_world_camera,
+        rgb=np.asarray(cv2.cvtColor(part["color"], cv2.COLOR_RGBA2RGB)) if "rgb" in outputs else None,
+        depth=depth if "depth" in outputs else None,
+        semantic=np.ascontiguousarray(part["LABELS"][:, :, 0]) if "semantic" in outputs else None,
+        instance=np.ascontiguousarray(part["LABELS"][:, :, 1]) if "instance" in outputs else None,
+        normal=normal if "normal" in outputs else None,
+        normal_world=_turned(R, normal) if normal is not None and "normal_world" in outputs else None,
+        position=position,
+        flow=part["FLOW"].copy() if "flow" in outputs else None,
+    )
+
+
+def _depth(raw: F32, camera: CameraSpec) -> F32:
+    """Returns metres, +inf = nothing nearer than ``far``."""
+    near, far = np.float32(camera.near), np.float32(camera.far)
+    depth = np.divide(near, raw, out=np.full(raw.shape, np.inf, dtype=np.float32), where=raw >= near / far)
+    return depth
+
+
+def _normals(raw: NDArray[np.uint16]) -> F32:
+    """Returns unit normals, 0 = nothing."""
+    normals = np.multiply(cv2.cvtColor(raw, cv2.COLOR_RGBA2RGB), UNIT, dtype=np.float32)
+    normals -= np.float32(1.0)
+    if not raw[:, :, 3].all():
+        normals[raw[:, :, 3] == 0] = 0.0
+    return normals
+
+
+def _turned(R: F32, vectors: F32, t: F32 | None = None) -> F32:
+    """Returns ``R v + t``, float32, summed from left to right: what a GPU computes, to the bit."""
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    out = np.empty_like(vectors)
+    for i in range(3):
+        with np.errstate(invalid="ignore"):
+            out[..., i] = R[i, 0] * x + R[i, 1] * y + R[i, 2] * z
+        if t is not None:
+            out[..., i] += t[i]
+    return out
+
+
+@lru_cache(maxsize=64)
+def rays_f32(camera: CameraSpec) -> F32:
+    """Returns what a pixel's depth is multiplied with to give its point in the optical frame, (H, W, 3); NaN = nothing is seen there."""
+    return projections.rays(camera).astype(np.float32)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -12,16 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError, RenderError, SceneMismatchError
+from gibson_sim.geometry.exposures import Exposure, exposures
 from gibson_sim.geometry.transforms import Mat4, matrices_from_poses, matrix_from_pose
-from gibson_sim.render.batches import Loader, build_batches
+from gibson_sim.render.batches import Batches, Loader, Progress, build_batches
+from gibson_sim.render.cache import SceneCache
 from gibson_sim.render.context import LIBRARY, GlContext, open_context
+from gibson_sim.render.drawing import Drawing
+from gibson_sim.render.effects import EffectsPass, changes_colors
+from gibson_sim.render.exposing import Exposing
 from gibson_sim.render.gl_scene import GlScene
-from gibson_sim.render.readback import Feature, Target, features_of
+from gibson_sim.render.pixel_buffers import Pending, PixelBuffers
+from gibson_sim.render.readback import Readback, Shot, needed
+from gibson_sim.render.target import Feature, Target, features_of
+from gibson_sim.render.tensors import TensorFrame, Tensors
+from gibson_sim.render.tiles import arrange
 from gibson_sim.scenes.mesh import MeshLoader
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.types import CameraSpec, Frame, SceneState
 
-_MAX_TARGETS = 8
+DETAIL_PX = 0.5
+"""How far, pixels, levels of detail may put a surface from where it is, unless told otherwise."""
 
 
 class Renderer:
@@ -33,11 +43,15 @@ class Renderer:
 
     Args:
         scene: what to draw.
-        device: EGL device number; None = a GPU if one works, else software.
+        device: EGL device, by number or UUID (see ``gibson-sim doctor``); None = a GPU if one works, else software.
         library: name of the EGL library.
         loader: returns the mesh of a shape; None = reads the files.
         allowed_roots: folders that meshes and textures must lie in; None = the folders above those of the meshes.
+        detail_px: how far, pixels, levels of detail may put a surface from where it is; 0 = draw every triangle.
         cull: leave out what is outside the image; off only to check that nothing else changes.
+        cache: folder that keeps what loading has made, for the next start (``render.cache.default_folder()``); None = none. Not used
+            with a ``loader``.
+        progress: told what is loaded and how much of it, 0 to 1.
 
     Raises:
         GraphicsUnavailableError: nothing here can draw.
@@ -47,26 +61,35 @@ class Renderer:
         self,
         scene: DrawnScene,
         *,
-        device: int | None = None,
+        device: int | str | None = None,
         library: str = LIBRARY,
         loader: Loader | None = None,
         allowed_roots: Sequence[Path] | None = None,
+        detail_px: float = DETAIL_PX,
         cull: bool = True,
+        cache: Path | None = None,
+        progress: Progress | None = None,
     ) -> None:
         self._context: GlContext | None = None
         self._scene: GlScene | None = None
-        self._targets: dict[tuple[int, int, tuple[Feature, ...]], Target] = {}
+        self._effects: EffectsPass | None = None
+        self._exposing: Exposing | None = None
+        self._pixel_buffers: PixelBuffers | None = None
+        self._tensors: Tensors | None = None
+        self._drawing: Drawing | None = None
         self._thread = threading.get_ident()
         self._links, self._revision = tuple(scene.links), scene.revision
         try:
             self._context = open_context(device, library=library)
-            loader = loader or MeshLoader(_roots(scene, allowed_roots)).shape
-            batches = build_batches(scene.visuals, self._links, loader, scene.labels())
-            self._scene = GlScene(self._context, batches, scene.light, cull=cull)
+            batches = _loaded(scene, loader, allowed_roots, detail_px > 0.0, cache, progress)
+            self._scene = GlScene(self._context, batches, scene.light, detail_px=detail_px, cull=cull)
+            self._readback = Readback(self._context)
+            self._pixel_buffers = PixelBuffers(self._context)
+            self._drawing = Drawing(self._context, self._scene)
         except BaseException:
             self.close()
             raise
-        self.warnings: tuple[str, ...] = batches.warnings
+        self.warnings: tuple[str, ...] = (*batches.warnings, *self._scene.warnings)
         """What could not be loaded and was left out or replaced, one line each."""
         opened = self._context.device
         self.info: dict[str, Any] = {
@@ -83,25 +106,124 @@ class Renderer:
         }
         """What draws, and how much."""
 
-    def render(self, state: SceneState, cameras: Sequence[CameraSpec]) -> list[Frame]:
+    def render(self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None = None) -> list[Frame]:
         """Returns one frame for each camera, with the stamp of the state; the arrays belong to the caller.
 
+        All cameras with the same outputs are drawn side by side and read back at once.
+
+        Args:
+            state: where everything is.
+            cameras: what to draw.
+            previous: the state before, for optical flow, motion blur and rolling shutters; None = nothing has moved.
+
         Raises:
-            SceneMismatchError: the state belongs to another scene, or another revision of it.
+            SceneMismatchError: a state belongs to another scene, or another revision of it.
             ConfigError: a camera sits on a link that the scene does not have.
             RenderError: closed, called from another thread, or an image too large for the driver.
         """
-        if self._scene is None or self._context is None:
+        frames: dict[int, Frame] = {}
+        for target, shots, numbers in self.drawn(state, cameras, previous):
+            frames.update(zip(numbers, self._readback.frames(target, shots), strict=True))
+        return [frames[k] for k in range(len(cameras))]
+
+    def start(self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None = None) -> Pending:
+        """Draws and returns at once: call ``result`` on what it returns when the next frames are drawn. For arguments see ``render``."""
+        reads = []
+        buffers, context = self._pixel_buffers, self.context
+        assert buffers is not None
+        for target, shots, numbers in self.drawn(state, cameras, previous):
+            reads.append((buffers.start(target, needed(target, shots)), shots, numbers))
+        return Pending(context, buffers, reads)
+
+    def render_tensors(
+        self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None = None
+    ) -> list[TensorFrame]:
+        """Returns the frames as tensors: on the GPU that drew them where CUDA has it, else on the CPU. For arguments see ``render``."""
+        tensors = self._tensors_of_context()
+        if not tensors.on_gpu:
+            return tensors.of_frames(self.render(state, cameras, previous))
+        frames: dict[int, TensorFrame] = {}
+        for target, shots, numbers in self.drawn(state, cameras, previous):
+            frames.update(zip(numbers, tensors.of_target(target, shots), strict=True))
+        return [frames[k] for k in range(len(cameras))]
+
+    @property
+    def tensors_on(self) -> str:
+        """Where ``render_tensors`` puts its tensors, as PyTorch names it: ``cuda:0``, or ``cpu``."""
+        return self._tensors_of_context().device
+
+    @property
+    def context(self) -> GlContext:
+        """Where it draws, for those who read targets themselves."""
+        if self._context is None:
+            raise RenderError("the renderer is closed; make a new one")
+        return self._context
+
+    def _tensors_of_context(self) -> Tensors:
+        if self._tensors is None:
+            self.context.make_current()
+            self._tensors = Tensors(self.context)
+        return self._tensors
+
+    def drawn(
+        self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None = None
+    ) -> Iterator[tuple[Target, list[Shot], list[int]]]:
+        """Draws, and hands out each target with its images and the numbers of their cameras. Read it before asking for the next one.
+
+        For arguments and errors see ``render``.
+        """
+        if self._drawing is None or self._context is None:
             raise RenderError("the renderer is closed; make a new one")
         if threading.get_ident() != self._thread:
             raise RenderError("the renderer belongs to the thread that made it; draw there, or make one for each thread")
-        self._check(state)
-        T_world_links = np.concatenate([np.eye(4)[None], matrices_from_poses(state.positions, state.quats_xyzw)])
+        T_world_links = self._link_matrices(state)
+        before = T_world_links if previous is None else self._link_matrices(previous)
         poses = [self._camera_matrix(camera, T_world_links) for camera in cameras]
+        plans = [exposures(camera, previous, state) for camera in cameras]
         self._context.make_current()
-        return [self._draw(state, camera, pose, T_world_links) for camera, pose in zip(cameras, poses, strict=True)]
+        for features, numbers in _alike(cameras):
+            for inside, tiles in arrange([(cameras[k].width, cameras[k].height) for k in numbers], self._drawing.largest):
+                target = self._drawing.target(tiles.width, tiles.height, features)
+                own = [numbers[i] for i in inside]
+                shots = [Shot(cameras[k], state.stamp_ns, poses[k], x, y) for k, (x, y) in zip(own, tiles.places, strict=True)]
+                at_once = [shot for k, shot in zip(own, shots, strict=True) if len(plans[k]) == 1 and plans[k][0].state is state]
+                self._draw(target, at_once, T_world_links, before)
+                for k, shot in zip(own, shots, strict=True):
+                    self._develop(target, shot, plans[k] if shot not in at_once else (), before)
+                yield target, shots, own
 
-    def _check(self, state: SceneState) -> None:
+    def _draw(
+        self, target: Target, shots: Sequence[Shot], T_world_links: NDArray[np.float64], before: NDArray[np.float64]
+    ) -> None:
+        """Clears a target and draws images into it."""
+        assert self._scene is not None
+        assert self._drawing is not None
+        self._scene.set_links(T_world_links, before)
+        self._drawing.draw(target, shots, [self._camera_matrix(shot.camera, before) for shot in shots])
+
+    def _develop(self, target: Target, shot: Shot, plan: Sequence[Exposure], before: NDArray[np.float64]) -> None:
+        """Finishes an image in its place: draws it, if that takes several exposures, and applies the effects on colours."""
+        assert self._context is not None
+        camera, average = shot.camera, False
+        changes = "rgb" in camera.outputs and changes_colors(camera.effects)
+        if not plan and not changes:
+            return
+        if self._effects is None:
+            self._effects = EffectsPass(self._context)
+            self._exposing = Exposing(self._context, self._effects)
+        if plan:
+            assert self._exposing is not None
+
+            def draw(part: Target, rows: CameraSpec, state: SceneState) -> None:
+                links = self._link_matrices(state)
+                self._draw(part, [Shot(rows, shot.stamp_ns, self._camera_matrix(rows, links))], links, before)
+
+            average = self._exposing.image(target, camera, plan, shot.x, shot.y, draw)
+        if average or changes:
+            self._effects.apply(camera, shot.stamp_ns, target, shot.x, shot.y, average=average)
+
+    def _link_matrices(self, state: SceneState) -> NDArray[np.float64]:
+        """Returns T_world_links, (L + 1, 4, 4), the world first."""
         if state.revision != self._revision:
             raise SceneMismatchError(
                 f"the state is of scene revision {state.revision}, revision {self._revision} is loaded; load the scene again"
@@ -110,6 +232,7 @@ class Renderer:
             raise SceneMismatchError(
                 f"the state has {len(state.links)} links, others than the {len(self._links)} of the scene that is loaded; load its scene"
             )
+        return np.concatenate([np.eye(4)[None], matrices_from_poses(state.positions, state.quats_xyzw)])
 
     def _camera_matrix(self, camera: CameraSpec, T_world_links: NDArray[np.float64]) -> Mat4:
         """Returns T_world_camera, (4, 4)."""
@@ -120,45 +243,18 @@ class Renderer:
         T_world_camera: Mat4 = T_world_links[row] @ matrix_from_pose(camera.pose)
         return T_world_camera
 
-    def _draw(self, state: SceneState, camera: CameraSpec, T_world_camera: Mat4, T_world_links: NDArray[np.float64]) -> Frame:
-        assert self._scene is not None
-        features = features_of(camera.outputs)
-        target = self._target(camera.width, camera.height, features)
-        target.use()
-        self._scene.draw(camera, T_world_camera, T_world_links)
-        semantic, instance = target.read_labels() if "LABELS" in features else (None, None)
-        return Frame(
-            camera,
-            state.stamp_ns,
-            T_world_camera,
-            rgb=target.read_rgb() if "rgb" in camera.outputs else None,
-            depth=target.read_depth(camera.near, camera.far) if "depth" in camera.outputs else None,
-            semantic=semantic if "semantic" in camera.outputs else None,
-            instance=instance if "instance" in camera.outputs else None,
-            normal=target.read_normals() if "NORMALS" in features else None,
-        )
-
-    def _target(self, width: int, height: int, features: tuple[Feature, ...]) -> Target:
-        assert self._context is not None
-        size = (width, height, features)
-        if size not in self._targets:
-            if len(self._targets) >= _MAX_TARGETS:
-                self._targets.pop(next(iter(self._targets))).close()
-            self._targets[size] = Target(self._context, width, height, features)
-        return self._targets[size]
-
     def close(self) -> None:
         """Frees everything; a second call does nothing."""
-        context, scene, targets = self._context, self._scene, self._targets
-        self._context, self._scene, self._targets = None, None, {}
+        context = self._context
+        handles = (self._drawing, self._effects, self._exposing, self._pixel_buffers, self._tensors, self._scene)
+        self._context = self._scene = self._drawing = self._effects = self._exposing = self._pixel_buffers = self._tensors = None
         if context is None:
             return
         try:
             context.make_current()
-            for target in targets.values():
-                target.close()
-            if scene is not None:
-                scene.close()
+            for handle in handles:
+                if handle is not None:
+                    handle.close()
         finally:
             context.close()
 
@@ -167,6 +263,38 @@ class Renderer:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
+
+
+def _alike(cameras: Sequence[CameraSpec]) -> list[tuple[tuple[Feature, ...], list[int]]]:
+    """Returns the numbers of the cameras by what is drawn for them: features, colours or none, samples."""
+    groups: dict[tuple[tuple[Feature, ...], bool, int], list[int]] = {}
+    for k, camera in enumerate(cameras):
+        color = "rgb" in camera.outputs
+        groups.setdefault((features_of(camera.outputs), color, camera.samples if color else 1), []).append(k)
+    return [(features, numbers) for (features, _, _), numbers in groups.items()]
+
+
+def _loaded(
+    scene: DrawnScene,
+    loader: Loader | None,
+    allowed_roots: Sequence[Path] | None,
+    coarser: bool,
+    folder: Path | None,
+    progress: Progress | None,
+) -> Batches:
+    """Returns the triangles of a scene, out of the cache if they are there."""
+    labels = scene.labels()
+    kept = SceneCache(folder) if folder is not None and loader is None else None
+    path = kept.path(scene.visuals, scene.links, labels, coarser) if kept is not None else None
+    if kept is not None and path is not None:
+        found = kept.load(path)
+        if found is not None:
+            return found
+    load = loader or MeshLoader(_roots(scene, allowed_roots)).shape
+    batches = build_batches(scene.visuals, scene.links, load, labels, coarser=coarser, progress=progress)
+    if kept is not None and path is not None:
+        kept.store(path, batches)
+    return batches
 
 
 def _roots(scene: DrawnScene, allowed_roots: Sequence[Path] | None) -> list[Path]:

@@ -1,39 +1,178 @@
-"""Draws one box and checks what comes out: the shortest proof that this machine can draw."""
+"""Draws four plates whose every pixel is known beforehand and compares: the shortest proof that a device draws what it should.
+
+The edges of the plates lie halfway between pixel centres, their textures are unlit, and nothing is behind them, so colours and labels
+must be right to the bit and depths to 0.1 mm, on every driver.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gibson_sim.errors import RenderError
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, quat_from_matrix
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.robots.spec import Shape, VisualSpec
+from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart, TextureSource
 from gibson_sim.scenes.spec import DrawnScene, LightSpec
-from gibson_sim.types import CameraSpec, Pose, SceneState
+from gibson_sim.types import CameraSpec, Frame, Pose, SceneState, Vec3
+
+SIZE = 64
+FOCAL = SIZE / 2.0
+"""Pixels: the field of view is 90 degrees."""
+DEPTH_TOLERANCE = 1e-4
+"""Metres."""
+_MIDDLE = (SIZE - 1) / 2.0
+_BLEND_PX = 3
+"""Rows on either side of the border between two halves of a texture that may show a mixture."""
 
 
-def self_test(device: int | None = None) -> str:
+@dataclass(frozen=True, slots=True)
+class _Plate:
+    """An upright rectangle that faces the camera."""
+
+    name: str
+    columns: tuple[int, int]
+    """First column that it fills, and the first one beyond it."""
+    rows: tuple[int, int]
+    distance: float
+    """Metres."""
+    upper: tuple[int, int, int]
+    """Colour of the upper half of its texture, sRGB bytes."""
+    lower: tuple[int, int, int]
+
+
+# Their instances are 1 to 4 in this order; their classes have their names, which count alphabetically: east, north, south, west.
+_PLATES = (
+    _Plate("south", (8, 32), (8, 32), 2.0, (200, 30, 40), (220, 180, 20)),
+    _Plate("north", (32, 60), (4, 32), 2.5, (10, 160, 90), (30, 60, 210)),
+    _Plate("west", (12, 32), (32, 52), 3.0, (255, 255, 255), (127, 128, 129)),
+    _Plate("east", (32, 44), (32, 56), 4.25, (90, 0, 140), (1, 2, 3)),
+)
+_CLASSES = ("east", "north", "south", "west")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Expected:
+    """What must come out."""
+
+    rgb: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    semantic: NDArray[np.uint16]
+    instance: NDArray[np.uint16]
+    sure: NDArray[np.bool_]
+    """(H, W): where the colour is known to the bit."""
+
+
+def self_test(device: int | str | None = None) -> str:
     """Returns one line on what draws here.
 
+    Args:
+        device: number or UUID; None = the one that is chosen where none is given.
+
     Raises:
-        RenderError: what was drawn is not a box of 1 m, 3 m ahead.
+        GraphicsUnavailableError: it cannot draw at all.
+        RenderError: it draws something else.
     """
-    box = VisualSpec("box", "", Shape("box"), Pose((3.0, 0.0, 0.0)), (1.0, 0.0, 0.0, 1.0))
-    camera = CameraSpec("eye", "", Pose((0.0, 0.0, 0.0), quat_from_matrix(R_LINK_OPTICAL)), 64, 64, math.pi / 2)
+    eye = CameraSpec(
+        "eye", "", Pose((0.0, 0.0, 0.0), quat_from_matrix(R_LINK_OPTICAL)), SIZE, SIZE, math.pi / 2,
+        outputs=("rgb", "depth", "semantic", "instance"),
+    )  # fmt: skip
+    visuals = tuple(VisualSpec(p.name, "", Shape("mesh", mesh=f"/{p.name}"), semantic_class=p.name) for p in _PLATES)
     state = SceneState(0, 0, 1, (), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6)))
-    with Renderer(DrawnScene("self test", 1, "", (), (box,), (camera,), LightSpec()), device=device) as renderer:
-        frame = renderer.render(state, (camera,))[0]
+    scene = DrawnScene("self test", 1, "", (), visuals, (eye,), LightSpec(background=(0.0, 0.0, 0.0)))
+    with Renderer(scene, device=device, loader=_loader()) as renderer:
+        frame = renderer.render(state, (eye,))[0]
         info = renderer.info
+    problems = compare(frame)
+    if problems:
+        raise RenderError(f"{info['renderer']} draws wrongly: {'; '.join(problems)}; try another device with --egl-device")
+    kind = "software, no GPU" if info["software"] else "GPU"
+    return f"pixel-exact ({digest(frame)}) on {info['renderer']} ({kind}), OpenGL {info['version']}"
+
+
+def expected() -> Expected:
+    """Returns what must come out, computed without drawing."""
+    shape = (SIZE, SIZE)
+    out = Expected(
+        np.zeros((*shape, 3), np.uint8), np.full(shape, np.inf, np.float32), np.zeros(shape, np.uint16), np.zeros(shape, np.uint16),
+        np.ones(shape, np.bool_),
+    )  # fmt: skip
+    for number, plate in enumerate(_PLATES, start=1):
+        columns, rows = slice(*plate.columns), slice(*plate.rows)
+        middle = sum(plate.rows) // 2
+        out.rgb[plate.rows[0] : middle, columns] = plate.upper
+        out.rgb[middle : plate.rows[1], columns] = plate.lower
+        out.sure[middle - _BLEND_PX : middle + _BLEND_PX, columns] = False
+        out.depth[rows, columns] = plate.distance
+        out.semantic[rows, columns] = 1 + _CLASSES.index(plate.name)
+        out.instance[rows, columns] = number
+    return out
+
+
+def compare(frame: Frame) -> list[str]:
+    """Returns what differs from ``expected``, one short text for each output; empty = nothing."""
     assert frame.rgb is not None
     assert frame.depth is not None
-    middle, corner = frame.depth[32, 32], frame.depth[0, 0]
-    red, green, blue = (int(c) for c in frame.rgb[32, 32])
-    if abs(middle - 2.5) > 1e-3 or corner != np.inf or red <= 2 * max(green, blue):
-        raise RenderError(
-            f"{info['renderer']} draws wrongly: a red box 2.5 m ahead came out at {middle:g} m, colour {red},{green},{blue}; "
-            "try another device with --egl-device"
+    assert frame.semantic is not None
+    assert frame.instance is not None
+    right = expected()
+    with np.errstate(invalid="ignore"):
+        depth = (np.abs(frame.depth - right.depth) > DEPTH_TOLERANCE) | (np.isinf(frame.depth) != np.isinf(right.depth))
+    wrong = {
+        "colours": (frame.rgb != right.rgb).any(axis=2) & right.sure,
+        "depths": depth,
+        "classes": frame.semantic != right.semantic,
+        "instances": frame.instance != right.instance,
+    }
+    problems = [f"{int(mask.sum())} of {mask.size} {name}" for name, mask in wrong.items() if mask.any()]
+    if problems and not (frame.instance[::-1] != right.instance).any():
+        problems.append("the image is upside down")
+    return problems
+
+
+def digest(frame: Frame) -> str:
+    """Returns the first eight digits of a hash over all that must be the same everywhere: equal digits = equal images."""
+    assert frame.rgb is not None
+    assert frame.depth is not None
+    assert frame.semantic is not None
+    assert frame.instance is not None
+    sure = np.where(expected().sure[:, :, None], frame.rgb, 0)
+    whole_mm = np.where(np.isinf(frame.depth), -1.0, np.round(frame.depth.astype(np.float64) * 1e3))
+    parts = (sure.astype(np.uint8), whole_mm.astype("<i4"), frame.semantic.astype("<u2"), frame.instance.astype("<u2"))
+    return hashlib.sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in parts)).hexdigest()[:8]
+
+
+def _loader() -> Callable[[Shape], Mesh]:
+    meshes = {f"/{plate.name}": _mesh(plate) for plate in _PLATES}
+    return lambda shape: meshes[shape.mesh]
+
+
+def _mesh(plate: _Plate) -> Mesh:
+    """Returns the plate, ``distance`` along +x in front of the camera, which looks along it: +y is left, +z is up."""
+
+    def at(column: int, row: int) -> Vec3:
+        # The edge of a pixel is half a pixel before its centre.
+        u, v = column - 0.5, row - 0.5
+        return (plate.distance, (_MIDDLE - u) / FOCAL * plate.distance, (_MIDDLE - v) / FOCAL * plate.distance)
+
+    (left, right), (top, bottom) = plate.columns, plate.rows
+    pixels = np.empty((16, 16, 3), dtype=np.uint8)
+    pixels[:8], pixels[8:] = plate.upper, plate.lower
+    low, high = 1 / 16, 15 / 16  # at the rim the lower half would show through from the other side
+    return Mesh(
+        (
+            MeshPart(
+                np.array([at(left, top), at(right, top), at(right, bottom), at(left, bottom)], dtype=np.float32),
+                np.tile(np.array([-1.0, 0.0, 0.0], dtype=np.float32), (4, 1)),
+                np.array([[low, low], [high, low], [high, high], [low, high]], dtype=np.float32),
+                np.array([[0, 2, 1], [0, 3, 2]], dtype=np.uint32),
+                Material(base_color=(1.0, 1.0, 1.0, 1.0), texture=TextureSource(plate.name, pixels), unlit=True),
+            ),
         )
-    kind = "software, no GPU" if info["software"] else "GPU"
-    return f"a box came out right on {info['renderer']} ({kind}), OpenGL {info['version']}"
+    )

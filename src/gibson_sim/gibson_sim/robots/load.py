@@ -7,8 +7,9 @@ import logging
 import math
 import re
 from collections.abc import Callable, Mapping
+from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import yaml
@@ -20,7 +21,17 @@ from gibson_sim.resources import find_robot
 from gibson_sim.robots.rigid import MOVING_TYPES
 from gibson_sim.robots.spec import DriveSpec, LidarSpec, RobotSpec, Shape, VisualSpec
 from gibson_sim.robots.urdf import UrdfModel, read_urdf
-from gibson_sim.types import DEFAULT_OUTPUTS, OUTPUTS, CameraSpec, Pose, Vec3
+from gibson_sim.types import (
+    DEFAULT_OUTPUTS,
+    DISTORTIONS,
+    OUTPUTS,
+    CameraSpec,
+    DepthNoise,
+    ImageEffects,
+    Pose,
+    Projection,
+    Vec3,
+)
 
 logger = logging.getLogger(__name__)
 
@@ -28,7 +39,12 @@ ROBOT_FILE = "robot.yaml"
 _ROBOT_KEYS = ("urdf", "base_link", "radius", "height", "drive", "cameras", "lidar")
 _LIMIT_KEYS = ("max_linear", "max_angular", "max_linear_acceleration", "max_angular_acceleration", "max_wheel_torque")
 _DRIVE_KEYS = ("type", "left_joint", "right_joint", "wheel_radius", "wheel_separation", *_LIMIT_KEYS)
-_CAMERA_KEYS = ("name", "link", "pose", "width", "height", "fov_y_deg", "rate_hz", "near", "far", "outputs")
+_OPTICS_KEYS = ("projection", "k", "fov_y_deg", "fov_deg", "distortion_model", "d")
+_CAMERA_KEYS = (
+    "name", "link", "pose", "width", "height", *_OPTICS_KEYS, "rate_hz", "near", "far", "outputs", "samples", "stereo_baseline",
+    "effects", "depth_noise",
+)  # fmt: skip
+_MATRIX_KEYS = ("fx", "fy", "cx", "cy", "skew")
 _POSE_KEYS = ("xyz", "rpy_deg")
 _LIDAR_KEYS = ("link", "beams", "range_min", "range_max", "rate_hz")
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -151,6 +167,13 @@ class _Settings:
                 out[key] = int(value)
         return out
 
+    def floats(self, key: str) -> tuple[float, ...]:
+        """Returns a list of finite numbers, as many as there are."""
+        value = self.values[key]
+        if not isinstance(value, list):
+            raise RobotError(f"{self.where}: {key} is {value!r}, must be a list of numbers")
+        return tuple(_Settings({key: item}, self.where).number(key) for item in value)
+
     def vector(self, key: str) -> Vec3:
         value = self.values.get(key, [0.0, 0.0, 0.0])
         if not isinstance(value, list) or len(value) != 3:
@@ -230,14 +253,73 @@ def _camera(settings: _Settings, model: UrdfModel, name: str) -> CameraSpec:
     if not _NAME.fullmatch(camera_name):
         raise RobotError(f"{settings.where}: name is {camera_name!r}; use letters, digits and _, a letter first")
     link = model.link(settings.text("link")).name
-    numbers: dict[str, Any] = {**settings.integers(("width", "height")), **settings.numbers(("near", "far", "rate_hz"))}
-    if "fov_y_deg" in settings.values:
-        numbers["fov_y"] = math.radians(settings.number("fov_y_deg"))
+    values: dict[str, Any] = {
+        **settings.integers(("width", "height", "samples")),
+        **settings.numbers(("near", "far", "rate_hz", "stereo_baseline")),
+        **_optics(settings),
+    }
+    for key, kind in (("effects", ImageEffects), ("depth_noise", DepthNoise)):
+        if (section := settings.section(key)) is not None:
+            values[key] = _plain(section, kind)
     outputs = settings.values.get("outputs", list(DEFAULT_OUTPUTS))
     if not isinstance(outputs, list) or not all(isinstance(item, str) for item in outputs):
         raise RobotError(f"{settings.where}: outputs is {outputs!r}, must be a list of {', '.join(OUTPUTS)}")
     pose = _camera_pose(settings, link)
-    return CameraSpec(name=camera_name, link=f"{name}/{link}", pose=pose, outputs=tuple(outputs), **numbers)
+    return CameraSpec(name=camera_name, link=f"{name}/{link}", pose=pose, outputs=tuple(outputs), **values)
+
+
+def _optics(settings: _Settings) -> dict[str, Any]:
+    """Returns the fields of ``CameraSpec`` that say where a direction is in the image."""
+    projection = cast(Projection, settings.text("projection", "pinhole"))
+    if projection not in DISTORTIONS:
+        raise RobotError(f"{settings.where}: projection is {projection!r}, must be one of {', '.join(DISTORTIONS)}")
+    out: dict[str, Any] = {"projection": projection}
+    # Angles of another kind of camera would be ignored: say so instead.
+    for key, field, owner in (("fov_y_deg", "fov_y", "pinhole"), ("fov_deg", "fov", "fisheye")):
+        if key in settings.values:
+            if projection != owner:
+                other = {"pinhole": "a pinhole camera has fov_y_deg", "fisheye": "a fisheye has fov_deg"}.get(projection, "")
+                raise RobotError(f"{settings.where}: {key} is for a {owner} camera; {other or 'an equirectangular one sees all'}")
+            out[field] = math.radians(settings.number(key))
+    if "k" in settings.values:
+        if "fov_y_deg" in settings.values:
+            raise RobotError(f"{settings.where}: k and fov_y_deg both say how wide the image is; leave one out")
+        out["matrix"] = _matrix(settings)
+    if ("d" in settings.values) != ("distortion_model" in settings.values):
+        raise RobotError(f"{settings.where}: d and distortion_model belong together; give both, as in a camera_info")
+    if "d" in settings.values:
+        d, model, models = settings.floats("d"), settings.text("distortion_model"), DISTORTIONS[projection]
+        if model not in models:
+            known = " or ".join(models) or "none at all"
+            raise RobotError(f"{settings.where}: distortion_model is {model!r}, that of a {projection} camera must be {known}")
+        if len(d) not in models[model]:
+            counts = " or ".join(map(str, models[model]))
+            raise RobotError(f"{settings.where}: d has {len(d)} numbers, {model} has {counts}")
+        out["distortion"] = d
+    return out
+
+
+def _matrix(settings: _Settings) -> tuple[float, ...]:
+    """Returns K from nine numbers by rows, or from a mapping of focal lengths and principal point."""
+    if isinstance(settings.values["k"], list):
+        return settings.floats("k")
+    section = settings.section("k")
+    if section is None:
+        raise RobotError(f"{settings.where}: k is empty, must be nine numbers, or fx, fy, cx, cy and, if any, skew")
+    section.check_keys(_MATRIX_KEYS)
+    given = section.numbers(_MATRIX_KEYS)
+    missing = [key for key in _MATRIX_KEYS[:4] if key not in given]
+    if missing:
+        raise RobotError(f"{section.where}: {', '.join(missing)} is missing; give fx, fy, cx and cy, pixels")
+    return (given["fx"], given.get("skew", 0.0), given["cx"], 0.0, given["fy"], given["cy"], 0.0, 0.0, 1.0)
+
+
+def _plain(section: _Settings, kind: type[ImageEffects] | type[DepthNoise]) -> ImageEffects | DepthNoise:
+    """Returns a value all of whose fields are numbers, those named in the file."""
+    whole = tuple(f.name for f in fields(kind) if isinstance(f.default, int))
+    names = tuple(f.name for f in fields(kind))
+    section.check_keys(names)
+    return kind(**section.integers(whole), **section.numbers(tuple(n for n in names if n not in whole)))  # type: ignore[arg-type]
 
 
 def _camera_pose(settings: _Settings, link: str) -> Pose:

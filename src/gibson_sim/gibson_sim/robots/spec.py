@@ -24,6 +24,58 @@ class Shape:
     """Absolute path of the mesh file; empty for primitives."""
 
 
+PatternKind = Literal["noise", "stripes", "checker", "image"]
+PATTERN_KINDS: tuple[PatternKind, ...] = ("noise", "stripes", "checker", "image")
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """A texture made of a few numbers, laid over a surface in metres, along the axes of its link (or of the world)."""
+
+    kind: PatternKind = "noise"
+    seed: int = 0
+    """noise: decides every pixel."""
+    colors: tuple[Vec3, Vec3] = ((0.2, 0.2, 0.2), (0.8, 0.8, 0.8))
+    """sRGB, 0 to 1; image: not used."""
+    size: float = 0.5
+    """Metres after which it repeats; stripes and checkers have four pairs of colours in it."""
+    image: str = ""
+    """kind image: absolute path of the file."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in PATTERN_KINDS:
+            raise ConfigError(f"pattern is {self.kind!r}, must be one of {', '.join(PATTERN_KINDS)}")
+        if not (math.isfinite(self.size) and self.size > 0.0):
+            raise ConfigError(f"size of a pattern is {self.size!r} m, must be a finite number above 0")
+        if (self.kind == "image") != bool(self.image):
+            raise ConfigError(
+                f"a pattern of kind {self.kind!r} has image {self.image!r}; kind image needs a file, others have none"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What changes in the materials of a visual. Where it is solid, and thus depth, labels and normals, never changes."""
+
+    hue: float = 0.0
+    """Turns all colours, 1 = once around."""
+    saturation: float = 1.0
+    """Factor: 0 = grey."""
+    value: float = 1.0
+    """Factor on the light: 0 = black."""
+    pattern: Pattern | None = None
+    """Replaces the colours of the texture, but not its opacity; None = they stay."""
+    metallic: float | None = None
+    """Replaces it, 0 to 1, or None."""
+    roughness: float | None = None
+    """Replaces it, 0 to 1, or None."""
+
+    @property
+    def is_tint(self) -> bool:
+        """Whether colours change at all, other than by a pattern."""
+        return (self.hue, self.saturation, self.value) != (0.0, 1.0, 1.0)
+
+
 @dataclass(frozen=True, slots=True)
 class VisualSpec:
     """A shape to be drawn."""
@@ -39,6 +91,8 @@ class VisualSpec:
     """Replaces the materials of the file (sRGB and alpha, each 0 to 1); None = as the file says."""
     semantic_class: str = ""
     """Class name; empty = unlabelled."""
+    look: Look | None = None
+    """Changes to the materials; None = none."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,27 +8,41 @@ from __future__ import annotations
 
 import math
 from array import array
+from dataclasses import asdict, fields
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Pose as RosPose, TransformStamped, Twist, Vector3
+from geometry_msgs.msg import Point, Pose as RosPose, TransformStamped, Twist, Vector3
 from nav_msgs.msg import Odometry as RosOdometry
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image, JointState, LaserScan
 from std_msgs.msg import ColorRGBA, Header
 
-from gibson_msgs.msg import Camera as RosCamera, Scene as RosScene, SceneState as RosSceneState, Visual as RosVisual
+from gibson_msgs.msg import (
+    Camera as RosCamera,
+    DepthNoise as RosDepthNoise,
+    ImageEffects as RosImageEffects,
+    Light as RosLight,
+    Look as RosLook,
+    PointLight as RosPointLight,
+    Scene as RosScene,
+    SceneState as RosSceneState,
+    Visual as RosVisual,
+)
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import quat_from_rpy
-from gibson_sim.robots.spec import Shape, ShapeKind, VisualSpec
-from gibson_sim.scenes.spec import UNLABELLED, WORLD_FRAME, DrawnScene, LightSpec
+from gibson_sim.robots.spec import Look, Pattern, Shape, ShapeKind, VisualSpec
+from gibson_sim.scenes.spec import UNLABELLED, WORLD_FRAME, DrawnScene, LightSpec, PointLight
 from gibson_sim.sensors.lidar import Scan
 from gibson_sim.types import (
+    DISTORTIONS,
     NS_PER_S,
     OUTPUTS,
     CameraSpec,
+    DepthNoise,
     Frame,
+    ImageEffects,
     JointStates,
     Odometry,
     Output,
@@ -44,12 +58,22 @@ _SHAPES: dict[ShapeKind, int] = {
     "sphere": RosVisual.SHAPE_SPHERE,
     "cylinder": RosVisual.SHAPE_CYLINDER,
 }
-ENCODINGS: dict[Output, str] = {"rgb": "rgb8", "depth": "32FC1", "semantic": "16UC1", "instance": "16UC1", "normal": "32FC3"}
+ENCODINGS: dict[Output, str] = {
+    "rgb": "rgb8",
+    "depth": "32FC1",
+    "semantic": "16UC1",
+    "instance": "16UC1",
+    "normal": "32FC3",
+    "normal_world": "32FC3",
+    "position": "32FC3",
+    "flow": "32FC2",
+}
 """How the pixels of each output are written in an image message."""
 _PIXELS: dict[str, tuple[type[np.generic], int]] = {
     "rgb8": (np.uint8, 3),
     "32FC1": (np.float32, 1),
     "16UC1": (np.uint16, 1),
+    "32FC2": (np.float32, 2),
     "32FC3": (np.float32, 3),
 }
 """Encoding -> type and number of channels."""
@@ -117,7 +141,6 @@ def scene_to_msg(scene: DrawnScene, stamp_ns: int) -> RosScene:
     link_index[""] = -1
     class_index = {name: i for i, name in enumerate(scene.semantic_classes)}
     class_index[""] = 0
-    light = scene.light
     return RosScene(
         header=header_to_msg(stamp_ns, WORLD_FRAME),
         name=scene.name,
@@ -128,10 +151,7 @@ def scene_to_msg(scene: DrawnScene, stamp_ns: int) -> RosScene:
         cameras=[_camera_to_msg(c, link_index[c.link]) for c in scene.cameras],
         semantic_classes=list(scene.semantic_classes),
         instances=list(scene.instances),
-        sun_direction=_vector_to_msg(light.sun_direction),
-        sun=light.sun,
-        ambient=light.ambient,
-        background=_color_to_msg((*light.background, 1.0)),
+        light=_light_to_msg(scene.light),
     )
 
 
@@ -166,26 +186,96 @@ def scene_from_msg(msg: RosScene) -> DrawnScene:
                 pose=pose_from_msg(v.pose),
                 color=color,
                 semantic_class="" if semantic_class == UNLABELLED else semantic_class,
+                look=_look_from_msg(v.look[0]) if v.look else None,
             )
         )
-    cameras = tuple(
-        CameraSpec(
-            name=c.name,
-            link=link_name(c.link),
-            pose=pose_from_msg(c.pose),
-            width=c.width,
-            height=c.height,
-            fov_y=c.fov_y,
-            near=c.near,
-            far=c.far,
-            rate_hz=c.rate,
-            outputs=tuple(o for o in OUTPUTS if o in c.outputs),
-        )
-        for c in msg.cameras
-    )
-    b = msg.background
-    light = LightSpec(_vector_from_msg(msg.sun_direction), msg.sun, msg.ambient, (b.r, b.g, b.b))
+    cameras = tuple(_camera_from_msg(c, link_name(c.link)) for c in msg.cameras)
+    light = _light_from_msg(msg.light)
     return DrawnScene(msg.name, msg.revision, msg.content_hash, links, tuple(visuals), cameras, light)
+
+
+def _light_to_msg(light: LightSpec) -> RosLight:
+    return RosLight(
+        sun_direction=_vector_to_msg(light.sun_direction),
+        sun=light.sun,
+        sun_color=light.sun_color,
+        shadows=light.shadows,
+        ambient=light.ambient,
+        background=light.background,
+        points=[
+            RosPointLight(
+                position=_point_to_msg(p.position),
+                color=p.color,
+                strength=p.strength,
+                range=p.range,
+                attenuation=p.attenuation,
+                direction=_vector_to_msg(p.direction),
+                inner_angle=p.inner_angle,
+                outer_angle=p.outer_angle,
+            )
+            for p in light.points
+        ],
+        environment=light.environment,
+        environment_strength=light.environment_strength,
+        environment_yaw=light.environment_yaw,
+        environment_visible=light.environment_visible,
+    )
+
+
+def _light_from_msg(msg: RosLight) -> LightSpec:
+    return LightSpec(
+        sun_direction=_vector_from_msg(msg.sun_direction),
+        sun=msg.sun,
+        ambient=msg.ambient,
+        background=_triple(msg.background),
+        sun_color=_triple(msg.sun_color),
+        shadows=msg.shadows,
+        points=tuple(
+            PointLight(
+                position=(p.position.x, p.position.y, p.position.z),
+                color=_triple(p.color),
+                strength=p.strength,
+                range=p.range,
+                attenuation=_triple(p.attenuation),
+                direction=_vector_from_msg(p.direction),
+                inner_angle=p.inner_angle,
+                outer_angle=p.outer_angle,
+            )
+            for p in msg.points
+        ),
+        environment=msg.environment,
+        environment_strength=msg.environment_strength,
+        environment_yaw=msg.environment_yaw,
+        environment_visible=msg.environment_visible,
+    )
+
+
+def _look_to_msg(look: Look) -> RosLook:
+    msg = RosLook(hue=look.hue, saturation=look.saturation, value=look.value)
+    msg.metallic = math.nan if look.metallic is None else look.metallic
+    msg.roughness = math.nan if look.roughness is None else look.roughness
+    if look.pattern is not None:
+        first, second = look.pattern.colors
+        msg.pattern, msg.pattern_seed, msg.pattern_colors = look.pattern.kind, look.pattern.seed, (*first, *second)
+        msg.pattern_size, msg.pattern_image = look.pattern.size, look.pattern.image
+    return msg
+
+
+def _look_from_msg(msg: RosLook) -> Look:
+    pattern = None
+    if msg.pattern:
+        colors = (_triple(msg.pattern_colors[:3]), _triple(msg.pattern_colors[3:]))
+        pattern = Pattern(msg.pattern, int(msg.pattern_seed), colors, msg.pattern_size, msg.pattern_image)
+    metallic, roughness = (None if math.isnan(v) else v for v in (msg.metallic, msg.roughness))
+    return Look(msg.hue, msg.saturation, msg.value, pattern, metallic, roughness)
+
+
+def _triple(values: Any) -> Vec3:
+    return (float(values[0]), float(values[1]), float(values[2]))
+
+
+def _point_to_msg(v: Vec3) -> Point:
+    return Point(x=float(v[0]), y=float(v[1]), z=float(v[2]))
 
 
 def _visual_to_msg(visual: VisualSpec, link: int, semantic_class: int) -> RosVisual:
@@ -198,6 +288,7 @@ def _visual_to_msg(visual: VisualSpec, link: int, semantic_class: int) -> RosVis
         pose=pose_to_msg(visual.pose),
         color=_color_to_msg(visual.color or (0.0, 0.0, 0.0, 0.0)),
         semantic_class=semantic_class,
+        look=[] if visual.look is None else [_look_to_msg(visual.look)],
     )
 
 
@@ -213,11 +304,42 @@ def _camera_to_msg(camera: CameraSpec, link: int) -> RosCamera:
         frame_id=camera.optical_frame,
         width=camera.width,
         height=camera.height,
+        projection=camera.projection,
+        k=camera.matrix or (),
+        d=camera.distortion,
         fov_y=camera.fov_y,
+        fov=camera.fov,
         near=camera.near,
         far=camera.far,
         rate=camera.rate_hz,
         outputs=list(camera.outputs),
+        samples=camera.samples,
+        stereo_baseline=camera.stereo_baseline,
+        effects=RosImageEffects(**asdict(camera.effects)),
+        depth_noise=RosDepthNoise(**asdict(camera.depth_noise)),
+    )
+
+
+def _camera_from_msg(msg: RosCamera, link: str) -> CameraSpec:
+    return CameraSpec(
+        name=msg.name,
+        link=link,
+        pose=pose_from_msg(msg.pose),
+        width=msg.width,
+        height=msg.height,
+        fov_y=msg.fov_y,
+        near=msg.near,
+        far=msg.far,
+        rate_hz=msg.rate,
+        outputs=tuple(o for o in OUTPUTS if o in msg.outputs),
+        projection=msg.projection,
+        matrix=tuple(msg.k) or None,
+        distortion=tuple(msg.d),
+        fov=msg.fov,
+        samples=msg.samples,
+        stereo_baseline=msg.stereo_baseline,
+        effects=ImageEffects(**{f.name: getattr(msg.effects, f.name) for f in fields(ImageEffects)}),
+        depth_noise=DepthNoise(**{f.name: getattr(msg.depth_noise, f.name) for f in fields(DepthNoise)}),
     )
 
 
@@ -305,20 +427,24 @@ def scan_to_msg(scan: Scan, frame_id: str, scan_time: float) -> LaserScan:
 
 
 def camera_info_to_msg(camera: CameraSpec, stamp_ns: int) -> CameraInfo:
-    """Returns the calibration of a pinhole camera without distortion."""
+    """Returns the calibration of a camera, whose image is not rectified: R is the identity and P begins with K.
+
+    In the right camera of a stereo pair P has Tx = -fx baseline. ROS has no model of an equirectangular camera: its name stands in
+    ``distortion_model`` and all matrices are zero, which says "no calibration" to whoever looks for a pinhole.
+    """
+    info = CameraInfo(header=header_to_msg(stamp_ns, camera.optical_frame), height=camera.height, width=camera.width)
+    if camera.projection == "equirectangular":
+        info.distortion_model = camera.projection
+        info.r = np.zeros(9)
+        return info
     k = camera.intrinsics()
     p = np.zeros((3, 4))
     p[:, :3] = k
-    return CameraInfo(
-        header=header_to_msg(stamp_ns, camera.optical_frame),
-        height=camera.height,
-        width=camera.width,
-        distortion_model="plumb_bob",
-        d=[0.0] * 5,
-        k=k.ravel(),
-        r=np.eye(3).ravel(),
-        p=p.ravel(),
-    )
+    p[0, 3] = -k[0, 0] * camera.stereo_baseline
+    info.distortion_model = camera.distortion_model
+    info.d = camera.distortion or [0.0] * DISTORTIONS[camera.projection][info.distortion_model][-1]
+    info.k, info.r, info.p = k.ravel(), np.eye(3).ravel(), p.ravel()
+    return info
 
 
 def image_to_msg(pixels: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str) -> Image:
@@ -348,7 +474,7 @@ def frame_to_image_msgs(frame: Frame) -> dict[str, Image | CameraInfo]:
 
 
 def array_from_image(msg: Image) -> NDArray[Any]:
-    """Returns the pixels of an image in one of our encodings, (H, W) or (H, W, 3); they share the message's memory."""
+    """Returns the pixels of an image in one of our encodings, (H, W), (H, W, 2) or (H, W, 3); they share the message's memory."""
     if msg.encoding not in _PIXELS:
         raise SceneError(f"image has encoding {msg.encoding!r}, known: {', '.join(_PIXELS)}")
     kind, channels = _PIXELS[msg.encoding]

@@ -26,12 +26,15 @@ from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import AlreadyRunningError, CommandError
 from gibson_sim.geometry.transforms import invert, matrices_from_poses, matrix_from_pose, pose_from_matrix
 from gibson_sim.physics.world import PhysicsWorld
+from gibson_sim.resources import find_config
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.node_main import run_node, started_by_launcher, write_summary
 from gibson_sim.ros.pacing import Pacer
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.scenes.placement import populate
+from gibson_sim.scenes.randomise import randomise
+from gibson_sim.scenes.randomise_yaml import load_rules
 from gibson_sim.scenes.spec import WORLD_FRAME, SceneSpec, drawn_scene
 from gibson_sim.sensors.lidar import measure_scan
 from gibson_sim.sensors.schedule import is_due
@@ -71,7 +74,9 @@ class PhysicsNode(Node):
         self._world: PhysicsWorld | None = None
         self._stamped: _StampedCommands | None = None
         self._config = config = config_from_parameters(self, PhysicsConfig)
-        self._scene = scene = _with_camera_settings(populate(config.scene, config.robot, config.start), config)
+        populated = populate(config.scene, config.robot, config.start, sdf_lamps=config.sdf_lamps)
+        self._scene = scene = _with_camera_settings(populated, config)
+        self._rules = load_rules(find_config(config.randomise, "randomisation")) if config.randomise else None
         self._look_for_others()
         self._robot: RobotSpec = scene.robots[0]
         self._world = PhysicsWorld(scene, step_hz=config.step_hz, cmd_vel_timeout=config.cmd_vel_timeout)
@@ -128,6 +133,8 @@ class PhysicsNode(Node):
     def _publish_latched(self) -> None:
         """Publishes what does not change: scene, description, fixed transforms."""
         drawn = drawn_scene(self._scene, self.world.links)
+        if self._rules is not None:
+            drawn = randomise(drawn, self._config.randomise_seed, self._rules)
         self._cameras = drawn.cameras
         self._scene_pub.publish(conversions.scene_to_msg(drawn, self.world.stamp_ns))
         self._description_pub.publish(String(data=self._robot.urdf.read_text(encoding="utf-8")))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from statistics import median
 from typing import Any
 
@@ -16,14 +17,17 @@ from sensor_msgs.msg import CameraInfo, Image
 from gibson_msgs.msg import Scene, SceneState
 from gibson_sim.config import RenderConfig
 from gibson_sim.errors import ConfigError, GibsonSimError
+from gibson_sim.geometry.exposures import needs_previous
+from gibson_sim.render.cache import default_folder
 from gibson_sim.render.context import open_context
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.node_main import run_node, spin_forever, write_summary
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.scenes.spec import DrawnScene
+from gibson_sim.sensors.depth_noise import apply_depth_noise
 from gibson_sim.sensors.schedule import images_due
-from gibson_sim.types import NS_PER_S, Frame
+from gibson_sim.types import NS_PER_S, CameraSpec, Frame, SceneState as State
 
 
 class RenderNode(Node):
@@ -37,9 +41,12 @@ class RenderNode(Node):
 
     Publishes, for each camera, with the stamp of the state drawn, in the frame ``<camera>_optical_frame``:
         <camera>/image_raw (sensor_msgs/Image rgb8), <camera>/camera_info (sensor_msgs/CameraInfo),
-        <camera>/depth/image_raw (sensor_msgs/Image 32FC1, metres along the axis, +inf = nothing), <camera>/depth/camera_info;
+        <camera>/depth/image_raw (sensor_msgs/Image 32FC1, metres along the axis, from the centre of a fisheye or equirectangular
+        camera, +inf = nothing), <camera>/depth/camera_info;
         where the camera has these outputs: <camera>/semantic/image_raw and <camera>/instance/image_raw (16UC1, numbers into the
-        scene's lists), <camera>/normal/image_raw (32FC3, optical frame, 0 = nothing), each with its camera_info.
+        scene's lists), <camera>/normal/image_raw and <camera>/normal_world/image_raw (32FC3, optical frame and world frame, 0 =
+        nothing), <camera>/position/image_raw (32FC3, world frame, metres, NaN = nothing), <camera>/flow/image_raw (32FC2, pixels
+        right and down since the previous image, NaN = nothing), each with its camera_info.
         /diagnostics (diagnostic_msgs/DiagnosticArray): images a second, skipped, milliseconds to draw; once a second.
     """
 
@@ -58,6 +65,7 @@ class RenderNode(Node):
         self._scene: DrawnScene | None = None
         self._image_publishers: dict[str, Publisher] = {}
         self._state_subscription: Any = None
+        self._previous: dict[str, State] = {}
         self._stats = _Stats()
         self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
         self._diagnostics_pub = self.create_publisher(DiagnosticArray, names.DIAGNOSTICS, qos.STATE)
@@ -66,6 +74,12 @@ class RenderNode(Node):
     @property
     def _device(self) -> int | None:
         return None if self._config.egl_device < 0 else self._config.egl_device
+
+    @property
+    def _cache_folder(self) -> Path | None:
+        if self._config.cache == "none":
+            return None
+        return Path(self._config.cache) if self._config.cache else default_folder()
 
     def _on_scene(self, msg: Scene) -> None:
         """Loads the scene, then asks for states: a subscriber to the state is one that is ready to draw."""
@@ -83,7 +97,15 @@ class RenderNode(Node):
         started = time.monotonic()
         if self._renderer is not None:
             self._renderer.close()
-        self._renderer = Renderer(scene, device=self._device, library=self._config.egl_library)
+        self._renderer = Renderer(
+            scene,
+            device=self._device,
+            library=self._config.egl_library,
+            detail_px=self._config.detail_px,
+            cache=self._cache_folder,
+            progress=_Progress(self.get_logger().info),
+        )
+        self._previous = {}
         for warning in self._renderer.warnings:
             self.get_logger().warning(warning)
         self._scene = scene
@@ -117,7 +139,7 @@ class RenderNode(Node):
         cameras = [self._drawn[i] for i in msg.due_cameras if i in self._drawn]
         started = time.monotonic_ns()
         try:
-            frames = self._renderer.render(conversions.scene_state_from_msg(msg, self._scene.links), cameras)
+            frames = self._frames(conversions.scene_state_from_msg(msg, self._scene.links), cameras)
         except GibsonSimError as error:
             self.get_logger().warning(
                 f"state at {conversions.time_from_msg(msg.header.stamp)} ns is not drawn: {error}", throttle_duration_sec=1.0
@@ -129,6 +151,19 @@ class RenderNode(Node):
             for kind, out in conversions.frame_to_image_msgs(frame).items():
                 self._image_publishers[topics[kind]].publish(out)
         self._stats.add(started, drawn, time.monotonic_ns(), frames)
+
+    def _frames(self, state: State, cameras: list[CameraSpec]) -> list[Frame]:
+        """Returns the images of cameras at a state, each with the motion since its own image before."""
+        assert self._renderer is not None
+        since: dict[int, tuple[State | None, list[CameraSpec]]] = {}
+        for camera in cameras:
+            previous = self._previous.get(camera.name) if needs_previous(camera) else None
+            if previous is not None and (previous.stamp_ns >= state.stamp_ns or previous.revision != state.revision):
+                previous = None  # time went back: what lies between the two is no motion
+            since.setdefault(id(previous), (previous, []))[1].append(camera)
+        frames = [frame for previous, alike in since.values() for frame in self._renderer.render(state, alike, previous)]
+        self._previous.update({camera.name: state for camera in cameras if needs_previous(camera)})
+        return [apply_depth_noise(frame, frame.camera.depth_noise) for frame in frames]
 
     def spin(self) -> int:
         """Draws until the context ends; returns the exit code."""
@@ -165,6 +200,19 @@ def take_waiting(subscription: Any) -> Iterator[Any]:
     with subscription.handle:
         while (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
             yield taken[0]
+
+
+class _Progress:
+    """Says how far the loading of a scene is, every two seconds."""
+
+    def __init__(self, say: Callable[[str], Any]) -> None:
+        self._say, self._last = say, time.monotonic()
+
+    def __call__(self, what: str, part: float) -> None:
+        now = time.monotonic()
+        if now - self._last >= 2.0:
+            self._last = now
+            self._say(f"{what}: {100.0 * part:.0f} %")
 
 
 class _Stats:

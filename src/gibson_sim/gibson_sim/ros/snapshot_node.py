@@ -23,13 +23,16 @@ from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.node_main import run_node
 from gibson_sim.ros.params import config_from_parameters
 
+_ARRAYS = ("position", "flow")
+"""What no picture can hold."""
+
 
 class SnapshotNode(Node):
     """Waits for the scene, takes the next image of every camera, writes it and ends.
 
     ``<camera>_rgb.png`` is 8-bit colour; ``<camera>_depth.png`` is 16-bit, millimetres, 0 = nothing or beyond 65.5 m (REP 118);
     ``<camera>_semantic.png`` and ``_instance.png`` are 16-bit numbers, as /scene names them; ``_normal.png`` has x, y, z of -1 to 1
-    as red, green, blue of 0 to 255.
+    as red, green, blue of 0 to 255, and so has ``_normal_world.png``; ``_position.npy`` and ``_flow.npy`` are arrays for NumPy.
 
     Parameters: the fields of ``gibson_sim.config.SnapshotConfig``.
     """
@@ -50,7 +53,7 @@ class SnapshotNode(Node):
         for camera in conversions.scene_from_msg(msg).cameras:
             for kind in camera.outputs:
                 topic = names.camera_topics(camera.name)[kind]
-                self._missing[topic] = f"{camera.name}_{kind}.png"
+                self._missing[topic] = f"{camera.name}_{kind}.{'npy' if kind in _ARRAYS else 'png'}"
                 self.create_subscription(Image, topic, partial(self._on_image, topic), qos.SENSOR)
 
     def _on_image(self, topic: str, msg: Image) -> None:
@@ -59,7 +62,16 @@ class SnapshotNode(Node):
             return
         path = self._folder / name
         self._folder.mkdir(parents=True, exist_ok=True)
-        if not cv2.imwrite(str(path), png_pixels(conversions.array_from_image(msg))):
+        pixels = conversions.array_from_image(msg)
+        try:
+            if path.suffix == ".npy":
+                np.save(path, pixels)
+                written = True
+            else:
+                written = bool(cv2.imwrite(str(path), png_pixels(pixels)))
+        except OSError:
+            written = False
+        if not written:
             raise GibsonSimError(f"{path} cannot be written: is the folder writable and the disk not full?")
         print(path)
 

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError, SceneNotFoundError
 from gibson_sim.geometry.transforms import pose_from_matrix
-from gibson_sim.robots.spec import Shape, VisualSpec
+from gibson_sim.robots.spec import Look, Shape, VisualSpec
 from gibson_sim.scenes.mesh import MeshLoader, shape_triangles
 from gibson_sim.scenes.mesh_types import TO_Z_UP, UpAxis, merge
 from gibson_sim.scenes.spec import CollisionSpec, LightSpec, SceneSpec, StartPose
+from gibson_sim.scenes.textures import is_inside
 from gibson_sim.types import Rgba, Vec3
 
 F64 = NDArray[np.float64]
@@ -45,6 +46,7 @@ class SceneBuilder:
         self.ground_z: float | None = None
         self.floor_z: float | None = None
         self.light = LightSpec()
+        self.sdf_lamps = False
         self.starts: list[StartPose] = []
         self.visuals: list[VisualSpec] = []
         self.collisions: list[CollisionSpec] = []
@@ -97,10 +99,36 @@ class SceneBuilder:
         turned[:3, :3] = matrix[:3, :3] @ turn
         return Shape("mesh", (float(sizes[0]), float(sizes[1]), float(sizes[2])), str(os.path.realpath(path))), turned
 
-    def add_visual(self, name: str, shape: Shape, matrix: F64, color: Rgba | None = None, semantic_class: str = "") -> None:
+    def add_visual(
+        self,
+        name: str,
+        shape: Shape,
+        matrix: F64,
+        color: Rgba | None = None,
+        semantic_class: str = "",
+        look: Look | None = None,
+    ) -> None:
         """Adds something that is drawn, at T_world_shape."""
         pose = pose_from_matrix(matrix)
-        self.visuals.append(VisualSpec(_unique(name, self._visual_names), "", shape, pose, color, semantic_class))
+        self.visuals.append(VisualSpec(_unique(name, self._visual_names), "", shape, pose, color, semantic_class, look))
+
+    def environment_file(self, path: Path, where: str) -> str:
+        """Returns the absolute path of an image of the surroundings, which becomes part of the digest.
+
+        Args:
+            path: the image.
+            where: file and place that name it, for messages.
+
+        Raises:
+            SceneError: it is missing or lies outside the scene's folders.
+        """
+        real = Path(os.path.realpath(path))
+        if not is_inside(real, self.roots):
+            raise SceneError(f"{where}: environment {path} lies outside the scene's folder; put it inside")
+        if not real.is_file():
+            raise SceneError(f"{where}: environment {path} is missing; give an equirectangular .hdr, .png or .jpg")
+        self._files[real] = None
+        return str(real)
 
     def add_collision(self, name: str, shape: Shape, matrix: F64) -> None:
         """Adds something that is bumped into, at T_world_shape."""

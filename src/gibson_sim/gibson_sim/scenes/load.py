@@ -29,12 +29,13 @@ _MAX_LISTED = 8
 _MAX_ENTRIES = 200_000
 
 
-def load_scene(name_or_path: str | Path) -> SceneSpec:
+def load_scene(name_or_path: str | Path, *, sdf_lamps: bool = False) -> SceneSpec:
     """Returns a scene without robots; what could not be used is in its ``warnings``.
 
     Args:
         name_or_path: name of an installed scene; a folder with a scene.yaml, or with exactly one world; or a file: scene.yaml,
             SDF world, Drake model directives, glTF, GLB, OBJ, DAE or STL.
+        sdf_lamps: lamps of an SDF world light it; False = they count as light from everywhere.
 
     Raises:
         SceneNotFoundError: there is nothing, or nothing that can be read.
@@ -45,6 +46,7 @@ def load_scene(name_or_path: str | Path) -> SceneSpec:
     reader, root = _reader_and_root(file, given)
     name = given.name if given.is_dir() else file.parent.name if file.name == DESCRIPTION else file.name.split(".")[0]
     builder = SceneBuilder(name, root, environment_folders() if reader is read_sdf_world else ())
+    builder.sdf_lamps = sdf_lamps
     reader(builder, file)
     scene = builder.finish()
     for warning in scene.warnings:

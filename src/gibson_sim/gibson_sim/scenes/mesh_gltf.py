@@ -1,6 +1,7 @@
-"""Reads glTF 2.0, text and binary (GLB): geometry of the default scene, base colours and base colour textures.
+"""Reads glTF 2.0, text and binary (GLB): geometry of the default scene and metallic-roughness materials.
 
-Skins, animations, cameras, lights and everything physically based beyond the base colour are left out.
+Skins, animations, cameras, lights and extensions of materials other than unlit, emissive strength and (in part) specular-glossiness
+are left out.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import math
 import os
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote_to_bytes
@@ -41,6 +43,16 @@ _KNOWN_EXTENSIONS = {
     "KHR_materials_unlit", "KHR_texture_transform", "KHR_mesh_quantization", "KHR_materials_pbrSpecularGlossiness",
     "KHR_lights_punctual", "EXT_texture_webp",
 }  # fmt: skip
+
+_MAPS = {
+    "metallicRoughnessTexture": "metallic_roughness_texture",
+    "normalTexture": "normal_texture",
+    "occlusionTexture": "occlusion_texture",
+    "emissiveTexture": "emissive_texture",
+}
+"""Name in the file -> field of ``Material``."""
+_Placement = tuple[int, dict[str, Any]]
+"""Set of texture coordinates, and KHR_texture_transform or nothing."""
 
 
 def load_gltf(path: Path, data: bytes, textures: TextureStore, files: list[Path], warn: Warn) -> list[MeshPart]:
@@ -182,9 +194,7 @@ class _Reader:
         tint = [srgb_from_linear(float(c)) for c in mean]
         base = material.base_color
         color = (base[0] * tint[0], base[1] * tint[1], base[2] * tint[2], base[3])
-        return Material(
-            material.name, color, None, material.unlit, material.alpha_mode, material.alpha_cutoff, material.double_sided
-        )
+        return replace(material, base_color=color)
 
     def _accessor(self, index: int) -> NDArray[Any]:
         """Returns (count, width); normalised integers as float in [-1, 1] or [0, 1]."""
@@ -255,15 +265,14 @@ class _Reader:
         pbr = source.get("pbrMetallicRoughness", {})
         info = pbr.get("baseColorTexture") or gloss.get("diffuseTexture")
         factor = pbr.get("baseColorFactor") or gloss.get("diffuseFactor")
-        transform = (info or {}).get("extensions", {}).get("KHR_texture_transform", {})
-        uv_set = int(transform.get("texCoord", (info or {}).get("texCoord", 0)))
+        placed = _placement(info or next(filter(None, (_map_info(source, name) for name in _MAPS)), {}))
         if index not in self._materials:
             texture = None if info is None else self._texture(info["index"])
             color = (1.0, 1.0, 1.0, 1.0) if texture or not self.textures.decode else LIGHT_GREY
             if factor is not None:
                 r, g, b, alpha = (float(c) for c in factor)
                 color = (srgb_from_linear(r), srgb_from_linear(g), srgb_from_linear(b), min(max(alpha, 0.0), 1.0))
-            self._materials[index] = Material(
+            material = Material(
                 str(source.get("name", "")),
                 color,
                 texture,
@@ -272,7 +281,39 @@ class _Reader:
                 float(source.get("alphaCutoff", 0.5)),
                 bool(source.get("doubleSided", False)),
             )
-        return self._materials[index], uv_set, _uv_matrix(transform)
+            self._materials[index] = material if material.unlit else self._with_surface(material, source, placed)
+        return self._materials[index], placed[0], _uv_matrix(placed[1])
+
+    def _with_surface(self, material: Material, source: dict[str, Any], placed: _Placement) -> Material:
+        """Returns the material with what concerns metal, roughness, emission, and its further textures."""
+        maps: dict[str, Any] = {}
+        for name, field in _MAPS.items():
+            info = _map_info(source, name)
+            if info is None:
+                continue
+            if _placement(info) != placed:
+                # One set of coordinates a vertex: a second one would cost every scene for the sake of few.
+                self.warn(f"{self.path}: {name} of material {material.name!r} lies otherwise than its base colour; left out")
+                continue
+            maps[field] = self._texture(info["index"])
+        pbr, extensions = source.get("pbrMetallicRoughness", {}), source.get("extensions", {})
+        gloss = extensions.get("KHR_materials_pbrSpecularGlossiness", {})
+        # By the standard a material that says nothing of either is a rough metal; whoever leaves all of it out means no metal.
+        silent = not {"metallicFactor", "roughnessFactor", "metallicRoughnessTexture"} & set(pbr)
+        metallic, roughness = (0.0, 1.0) if silent else (pbr.get("metallicFactor", 1.0), pbr.get("roughnessFactor", 1.0))
+        if silent and "glossinessFactor" in gloss:
+            roughness = 1.0 - float(gloss["glossinessFactor"])
+        strength = float(extensions.get("KHR_materials_emissive_strength", {}).get("emissiveStrength", 1.0))
+        red, green, blue = (_limited(c, math.inf) * _limited(strength, math.inf) for c in source.get("emissiveFactor", (0, 0, 0)))
+        return replace(
+            material,
+            metallic=_limited(metallic),
+            roughness=_limited(roughness),
+            emissive=(red, green, blue),
+            normal_scale=float(source.get("normalTexture", {}).get("scale", 1.0)),
+            occlusion_strength=_limited(source.get("occlusionTexture", {}).get("strength", 1.0)),
+            **maps,
+        )
 
     def _texture(self, index: int) -> Any:
         texture = self._item("textures", index)
@@ -295,6 +336,23 @@ class _Reader:
         if uri.startswith("data:"):
             return self.textures.from_bytes(name, _data_uri(uri), self.warn)
         return self.textures.from_uri(uri, self.path, self.files, self.warn)
+
+
+def _map_info(source: dict[str, Any], name: str) -> dict[str, Any] | None:
+    """Returns the reference to a texture of a material, or None."""
+    holder = source.get("pbrMetallicRoughness", {}) if name == "metallicRoughnessTexture" else source
+    info: dict[str, Any] | None = holder.get(name)
+    return info
+
+
+def _placement(info: dict[str, Any]) -> _Placement:
+    transform = info.get("extensions", {}).get("KHR_texture_transform", {})
+    return int(transform.get("texCoord", info.get("texCoord", 0))), {k: v for k, v in transform.items() if k != "texCoord"}
+
+
+def _limited(value: Any, high: float = 1.0) -> float:
+    """Returns a number of the file within 0 and ``high``."""
+    return min(max(float(value), 0.0), high)
 
 
 def _node_matrix(node: dict[str, Any]) -> F64:

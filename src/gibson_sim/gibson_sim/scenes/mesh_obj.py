@@ -214,7 +214,16 @@ def _material(
         r, g, b = _floats(block.get("kd", ""), 3, LIGHT_GREY[:3], mtl, warn)
         color = (r, g, b, alpha)
     has_cut_out = "map_d" in block and texture is not None and texture.pixels.shape[2] == 4
-    return Material(name, color, texture, alpha_mode="blend" if alpha < 0.999 else "mask" if has_cut_out else "opaque")
+    red, green, blue = _floats(block.get("ke", ""), 3, (0.0, 0.0, 0.0), mtl, warn)
+    return Material(
+        name,
+        color,
+        texture,
+        alpha_mode="blend" if alpha < 0.999 else "mask" if has_cut_out else "opaque",
+        metallic=_floats(block.get("pm", ""), 1, (0.0,), mtl, warn)[0],
+        roughness=_floats(block.get("pr", ""), 1, (1.0,), mtl, warn)[0],
+        emissive=(red, green, blue),
+    )
 
 
 def _floats(text: str, count: int, default: tuple[float, ...], mtl: Path, warn: Warn) -> tuple[float, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gibson_sim.errors import MeshError
-from gibson_sim.types import Rgba
+from gibson_sim.types import Rgba, Vec3
 
 AlphaMode = Literal["opaque", "mask", "blend"]
 UpAxis = Literal["x", "y", "z"]
@@ -19,6 +19,8 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
+MATTE_ROUGHNESS = 0.9
+"""A surface that is no metal and at least this rough is matte."""
 LIGHT_GREY: Rgba = (0.8, 0.8, 0.8, 1.0)
 """Colour of a surface whose file names none."""
 
@@ -54,6 +56,28 @@ class Material:
     alpha_cutoff: float = 0.5
     """Below this alpha nothing is drawn, where alpha_mode is mask."""
     double_sided: bool = True
+    metallic: float = 0.0
+    """0 = plastic, wood, cloth; 1 = bare metal. Multiplies the blue channel of ``metallic_roughness_texture``."""
+    roughness: float = 1.0
+    """0 = a mirror, 1 = no highlight at all. Multiplies the green channel of ``metallic_roughness_texture``."""
+    emissive: Vec3 = (0.0, 0.0, 0.0)
+    """Light that it gives off, linear RGB, may exceed 1; multiplies ``emissive_texture``. It does not light other surfaces."""
+    normal_texture: TextureSource | None = None
+    """Tangent-space normals as glTF has them: +X right, +Y up in the image, linear."""
+    normal_scale: float = 1.0
+    metallic_roughness_texture: TextureSource | None = None
+    """Green = roughness, blue = metallic, linear."""
+    emissive_texture: TextureSource | None = None
+    """sRGB."""
+    occlusion_texture: TextureSource | None = None
+    """Red = how much ambient light arrives, linear."""
+    occlusion_strength: float = 1.0
+
+    @property
+    def has_maps(self) -> bool:
+        """Whether it has textures beside that of its base colour, which only matter where it is lit."""
+        maps = (self.normal_texture, self.metallic_roughness_texture, self.emissive_texture, self.occlusion_texture)
+        return not self.unlit and any(m is not None for m in maps)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

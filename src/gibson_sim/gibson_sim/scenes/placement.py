@@ -19,20 +19,21 @@ from gibson_sim.types import Pose
 logger = logging.getLogger(__name__)
 
 
-def populate(scene_name: str, robot_name: str, start: str = "") -> SceneSpec:
+def populate(scene_name: str, robot_name: str, start: str = "", *, sdf_lamps: bool = False) -> SceneSpec:
     """Returns the scene with one robot in it.
 
     Args:
         scene_name: what ``load_scene`` takes.
         robot_name: what ``load_robot`` takes.
         start: name of one of the scene's start poses, or ``x,y,yaw_deg``; empty = the first start pose, or the most open place.
+        sdf_lamps: as ``load_scene`` takes it.
 
     Raises:
         SceneError: the scene cannot be loaded.
         RobotError: the robot cannot be loaded.
         ConfigError: ``start`` is neither a name nor three numbers.
     """
-    scene = load_scene(scene_name)
+    scene = load_scene(scene_name, sdf_lamps=sdf_lamps)
     robot = load_robot(robot_name)
     return with_robots(scene, [replace(robot, start=start_pose(scene, robot, start))])
 

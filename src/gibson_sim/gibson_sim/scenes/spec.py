@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -33,17 +34,57 @@ class StartPose:
 
 
 @dataclass(frozen=True, slots=True)
+class PointLight:
+    """A lamp. It throws no shadows, so it also shines through walls: give it a ``range``."""
+
+    position: Vec3
+    """World frame, metres."""
+    color: Vec3 = (1.0, 1.0, 1.0)
+    """sRGB, 0 to 1."""
+    strength: float = 1.0
+    """Linear; 1 = a white surface that faces it at 1 m becomes white, and a quarter of that at 2 m."""
+    range: float = 0.0
+    """Metres; its light fades out towards here and is nothing beyond; 0 = no end."""
+    attenuation: Vec3 = (0.0, 0.0, 1.0)
+    """Constant, linear and quadratic part: at d metres the strength is divided by ``a + b d + c d^2``."""
+    direction: Vec3 = (0.0, 0.0, -1.0)
+    """Where a spot points, world frame; need not be a unit vector."""
+    inner_angle: float = math.pi
+    """Spot: full strength up to this angle from ``direction``, radians."""
+    outer_angle: float = math.pi
+    """Spot: nothing from this angle on, radians; pi = it shines all around."""
+
+
+@dataclass(frozen=True, slots=True)
 class LightSpec:
-    """How surfaces without baked light are lit."""
+    """How surfaces without baked light are lit.
+
+    With a sun and ambient light alone, the sun also brightens surfaces that are turned away from it, a stand-in for the light that a
+    real room throws back. Shadows, lamps or an environment make it light as it is: nothing where it does not reach.
+    """
 
     sun_direction: Vec3 = (0.4, 0.3, -0.85)
     """World frame, the way the light travels; need not be a unit vector."""
     sun: float = 0.55
     """Strength of the directional light, linear, 1 = white surfaces facing it become white."""
     ambient: float = 0.5
-    """Strength of the light from everywhere, linear."""
+    """Strength of the light from everywhere, linear; comes on top of the environment, where there is one."""
     background: Vec3 = (0.70, 0.76, 0.82)
     """Colour where nothing is, sRGB, 0 to 1."""
+    sun_color: Vec3 = (1.0, 1.0, 1.0)
+    """sRGB, 0 to 1."""
+    shadows: bool = False
+    """The sun throws shadows. Leave it off inside closed rooms: their ceilings would keep all of it out."""
+    points: tuple[PointLight, ...] = ()
+    environment: str = ""
+    """Absolute path of an equirectangular image of the surroundings (.hdr, or PNG or JPEG); empty = none. Its middle column is seen
+    when looking along +x, and what is left of it lies towards +y."""
+    environment_strength: float = 1.0
+    """Factor on the environment's light, linear."""
+    environment_yaw: float = 0.0
+    """Turns the environment about the world's z axis, counter-clockwise, radians."""
+    environment_visible: bool = True
+    """Show the environment as the background."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """OpenGL contexts without a window: which devices there are, and opening one of them."""
 
-from gibson_sim.render.context.devices import EglDevice, GlContext, list_devices, open_context
-from gibson_sim.render.context.egl import LIBRARY
+from gibson_sim.render.context.devices import EglDevice, GlContext, device_number, list_devices, open_context
+from gibson_sim.render.context.egl import LIBRARY, format_uuid
 
-__all__ = ["LIBRARY", "EglDevice", "GlContext", "list_devices", "open_context"]
+__all__ = ["LIBRARY", "EglDevice", "GlContext", "device_number", "format_uuid", "list_devices", "open_context"]

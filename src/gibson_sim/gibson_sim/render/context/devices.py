@@ -6,8 +6,10 @@ import ctypes
 import json
 import logging
 import os
+import re
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -42,6 +44,10 @@ class EglDevice:
     """It was opened, and has what is needed."""
     problem: str = ""
     """Why it is not usable; empty if it is or was not tried."""
+    uuid: str = ""
+    """Names a GPU for good and to all drivers, e.g. ``01234567-89ab-cdef-0123-456789abcdef``; empty if the driver does not say."""
+    cuda_ordinal: int = -1
+    """Number that CUDA gives it; -1 = none, or the driver does not say."""
 
 
 class GlContext:
@@ -74,11 +80,12 @@ class GlContext:
         self.egl.release()
 
 
-def open_context(device: int | None = None, *, library: str = LIBRARY) -> GlContext:
+def open_context(device: int | str | None = None, *, library: str = LIBRARY) -> GlContext:
     """Opens a device.
 
     Args:
-        device: its number in ``list_devices``; None = the first GPU that works, else software, which is said in the log.
+        device: its number in ``list_devices``, or its UUID with or without ``GPU-`` in front, or the beginning of it; None = the first
+            GPU that works, else software, which is said in the log.
         library: name of the EGL library.
 
     Raises:
@@ -88,6 +95,8 @@ def open_context(device: int | None = None, *, library: str = LIBRARY) -> GlCont
     handles = egl.devices()
     if not handles:
         raise GraphicsUnavailableError(f"cannot draw: EGL finds no device, neither a GPU nor software: {REMEDY}")
+    if isinstance(device, str):
+        device = device_number(device, _uuids(egl, handles))
     if device is not None:
         if not 0 <= device < len(handles):
             raise GraphicsUnavailableError(
@@ -100,6 +109,50 @@ def open_context(device: int | None = None, *, library: str = LIBRARY) -> GlCont
                 f"EGL device {device} cannot draw: {e}; choose another, see `gibson-sim doctor`"
             ) from e
     return _open_best(egl, handles)
+
+
+def device_number(wanted: str, uuids: Sequence[str]) -> int:
+    """Returns the number of a device that is given by number, by UUID, or by the beginning of one.
+
+    Args:
+        wanted: e.g. ``"1"``, ``"GPU-0123abcd-..."``, ``"0123abcd"``.
+        uuids: of each device, empty where it is not known.
+
+    Raises:
+        GraphicsUnavailableError: none or several are meant.
+    """
+    text = wanted.strip().lower()
+    if re.fullmatch(r"\d{1,3}", text):
+        return int(text)
+    text = text.removeprefix("gpu-")
+    known = ", ".join(f"{i}: {uuid or 'unknown'}" for i, uuid in enumerate(uuids))
+    if not re.fullmatch(r"[0-9a-f][0-9a-f-]{3,35}", text):
+        raise GraphicsUnavailableError(
+            f"EGL device {wanted!r} is neither a number nor a UUID or the first four digits of one; there are {known}"
+        )
+    found = [i for i, uuid in enumerate(uuids) if uuid.replace("-", "").startswith(text.replace("-", ""))]
+    if len(found) != 1:
+        raise GraphicsUnavailableError(
+            f"EGL device {wanted!r} is {'none' if not found else 'more than one'} of the UUIDs here: {known}"
+        )
+    return found[0]
+
+
+def _uuids(egl: Egl, handles: list[int]) -> list[str]:
+    """Returns the UUID of each device; opens those whose driver does not say before."""
+    uuids = []
+    for index, handle in enumerate(handles):
+        uuid = egl.uuid(handle)
+        if not uuid:
+            try:
+                context = _open(egl, handles, index)
+            except GraphicsUnavailableError as e:
+                _log.debug("device %d has no UUID: %s", index, e)
+            else:
+                uuid = context.device.uuid
+                context.close()
+        uuids.append(uuid)
+    return uuids
 
 
 def list_devices(*, library: str = LIBRARY) -> list[EglDevice]:
@@ -140,7 +193,10 @@ def _open(egl: Egl, handles: list[int], index: int) -> GlContext:
         get_string = context.function("glGetString", ctypes.c_char_p, ctypes.c_uint)
         vendor, renderer, version = ((get_string(name) or b"").decode(errors="replace") for name in (0x1F00, 0x1F01, 0x1F02))
         software = software or any(name in renderer.lower() for name in _SOFTWARE_NAMES)
-        return GlContext(EglDevice(index, vendor, renderer, version, node, software, usable=True), context)
+        uuid = egl.uuid(handles[index]) or context.uuid()
+        cuda_ordinal = egl.cuda_ordinal(handles[index])
+        device = EglDevice(index, vendor, renderer, version, node, software, usable=True, uuid=uuid, cuda_ordinal=cuda_ordinal)
+        return GlContext(device, context)
     except BaseException:
         context.release()
         raise

@@ -2,7 +2,8 @@
 
 ModernGL can open such a context by itself, but it wants libGL beside libEGL, does not check whether the device offers any
 configuration, and names no device. Everything here works with ``libEGL.so.1`` alone and turns every failure into one line.
-References: EGL 1.5, EGL_EXT_device_enumeration, EGL_EXT_device_query, EGL_EXT_platform_device, EGL_KHR_surfaceless_context.
+References: EGL 1.5, EGL_EXT_device_enumeration, EGL_EXT_device_query, EGL_EXT_platform_device, EGL_KHR_surfaceless_context,
+EGL_EXT_device_persistent_id, EGL_NV_device_cuda; GL_EXT_memory_object for the UUID of an open context.
 """
 
 from __future__ import annotations
@@ -28,6 +29,10 @@ _DRM_DEVICE_FILE = 0x3233
 _DRM_RENDER_NODE_FILE = 0x3377
 _PLATFORM_DEVICE = 0x313F
 _OPENGL_API = 0x30A2
+_DEVICE_UUID = 0x335C
+_CUDA_DEVICE = 0x323A
+_GL_EXTENSIONS, _GL_NUM_EXTENSIONS, _GL_DEVICE_UUID = 0x1F03, 0x821D, 0x9597
+_UUID_BYTES = 16
 _ERRORS = {
     0x3001: "EGL_NOT_INITIALIZED", 0x3002: "EGL_BAD_ACCESS", 0x3003: "EGL_BAD_ALLOC", 0x3004: "EGL_BAD_ATTRIBUTE",
     0x3005: "EGL_BAD_CONFIG", 0x3006: "EGL_BAD_CONTEXT", 0x3008: "EGL_BAD_DISPLAY", 0x3009: "EGL_BAD_MATCH", 0x300C: "EGL_BAD_PARAMETER",
@@ -112,6 +117,25 @@ class Egl:
             node = self._device_text(device, _DRM_DEVICE_FILE)
         return vendor, renderer, node, "EGL_MESA_device_software" in extensions
 
+    def uuid(self, device: int) -> str:
+        """Returns the UUID of a device, as ``format_uuid`` writes it, empty if the driver does not say; opens nothing."""
+        address = self.address("eglQueryDeviceBinaryEXT")
+        if "EGL_EXT_device_persistent_id" not in self._device_text(device, _EXTENSIONS).split() or not address:
+            return ""
+        query = ctypes.CFUNCTYPE(ctypes.c_uint, _Handle, _Int, _Int, _Handle, _Ints)(address)
+        raw, size = (ctypes.c_ubyte * _UUID_BYTES)(), _Int(0)
+        good = query(device, _DEVICE_UUID, _UUID_BYTES, ctypes.cast(raw, _Handle), ctypes.byref(size))
+        return format_uuid(bytes(raw)) if good and size.value == _UUID_BYTES else ""
+
+    def cuda_ordinal(self, device: int) -> int:
+        """Returns the number that CUDA gives a device, -1 if it is not NVIDIA's; opens nothing."""
+        address = self.address("eglQueryDeviceAttribEXT")
+        if "EGL_NV_device_cuda" not in self._device_text(device, _EXTENSIONS).split() or not address:
+            return -1
+        value = ctypes.c_ssize_t(-1)
+        query = ctypes.CFUNCTYPE(ctypes.c_uint, _Handle, _Int, _Handle)(address)
+        return value.value if query(device, _CUDA_DEVICE, ctypes.addressof(value)) else -1
+
     def error(self) -> str:
         """Returns the name of the last error."""
         code = int(self.call("eglGetError"))
@@ -183,6 +207,21 @@ class EglContext:
         function: Callable[..., Any] = ctypes.CFUNCTYPE(result, *arguments)(address)
         return function
 
+    def uuid(self) -> str:
+        """Returns the UUID of the device that the current context draws on, empty if the driver does not say."""
+        address = self._egl.address("glGetUnsignedBytei_vEXT")
+        if "GL_EXT_memory_object" not in self._opengl_extensions() or not address:
+            return ""
+        raw = (ctypes.c_ubyte * _UUID_BYTES)()
+        ctypes.CFUNCTYPE(None, ctypes.c_uint, ctypes.c_uint, _Handle)(address)(_GL_DEVICE_UUID, 0, ctypes.cast(raw, _Handle))
+        return format_uuid(bytes(raw)) if any(raw) else ""
+
+    def _opengl_extensions(self) -> set[str]:
+        count = _Int(0)
+        self.function("glGetIntegerv", None, ctypes.c_uint, _Handle)(_GL_NUM_EXTENSIONS, ctypes.addressof(count))
+        name = self.function("glGetStringi", ctypes.c_char_p, ctypes.c_uint, ctypes.c_uint)
+        return {Egl._text(name(_GL_EXTENSIONS, i)) for i in range(count.value)}
+
     def release(self) -> None:
         """Destroys the context; a second call does nothing."""
         context, self._context = self._context, None
@@ -197,6 +236,12 @@ class EglContext:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         return None
+
+
+def format_uuid(raw: bytes) -> str:
+    """Returns 16 bytes as ``01234567-89ab-cdef-0123-456789abcdef``, which is how ``nvidia-smi -L`` shows them behind ``GPU-``."""
+    text = raw.hex()
+    return "-".join((text[:8], text[8:12], text[12:16], text[16:20], text[20:]))
 
 
 def _ints(*values: int) -> Any:

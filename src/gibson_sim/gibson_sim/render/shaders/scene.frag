@@ -1,50 +1,112 @@
-// Colours a surface. The target is sRGB, so everything here is linear.
-in vec3 v_normal;
-in vec3 v_to_eye;
+// Colours a surface, and fills what else was asked for. The target is sRGB, so everything here is linear.
 in vec2 v_uv;
-in vec4 v_color;
-flat in vec2 v_surface;
+#ifdef NUMBERED
+flat in uint v_material;
+#endif
+#ifdef SURFACE
+in vec3 v_position;
+#endif
+#ifdef TURNED
+in vec3 v_normal;
+#endif
 
+layout(std140, binding = 0) uniform View {
+    mat4 clip_from_world;
+    mat4 clip_from_world_before;
+    mat4 optical_from_world;
+    vec4 eye;
+    vec4 size;
+};
+
+struct Material {
+    vec4 color;
+    vec4 surface;  // metallic, roughness, alpha below which nothing is solid, 1 = unlit
+    vec4 glow;     // emission
+    vec4 maps;     // as apply_maps in lighting.glsl takes it
+};
+#ifdef ONE_MATERIAL
+uniform vec4 u_color;
+uniform vec4 u_surface;
+uniform vec4 u_glow;
+uniform vec4 u_maps;
+#else
+layout(std430, binding = 2) readonly buffer Materials { Material materials[]; };
+#endif
+
+#ifdef TEXTURED
 uniform sampler2D u_texture;
-uniform vec3 u_to_sun;  // unit vector
-uniform vec3 u_up;      // unit vector
-uniform float u_sun;
-uniform float u_ambient;
+#endif
 #ifdef CUT
 uniform bool u_translucent;  // draw what is not solid, instead of what is
 #endif
 
 layout(location = 0) out vec4 out_color;
 #ifdef LABELS
-flat in uvec2 v_label;
+flat in uint v_label;
 layout(location = 1) out uvec2 out_label;
 #endif
 #ifdef NORMALS
-uniform mat3 u_optical_from_link;
 layout(location = 2) out vec4 out_normal;
 #endif
+#ifdef FLOW
+in vec3 v_before;
+layout(location = 3) out vec2 out_flow;
+#endif
 
-// How dark the side that looks down is under light from everywhere, against the side that looks up.
-const float FLOOR_LIGHT = 0.7;
+#ifdef LOOKED
+in vec3 v_local;
+#endif
 
 void main() {
-    vec4 color = v_color * texture(u_texture, v_uv);
-#ifdef CUT
-    if ((color.a < v_surface.y) != u_translucent) discard;
+#ifdef ONE_MATERIAL
+    Material material = Material(u_color, u_surface, u_glow, u_maps);
+#else
+    Material material = materials[v_material];
 #endif
+    vec4 color = material.color;
+#ifdef TEXTURED
+    color *= texture(u_texture, v_uv);
+#endif
+#ifdef CUT
+    if ((color.a < material.surface.z) != u_translucent) discard;
+#endif
+#ifdef LOOKED
+    color.rgb = dressed(color.rgb, looks[v_material], v_local);
+#endif
+#ifdef TURNED
     // Scans are open and their triangles may be turned either way: the side that is seen is the outside. What is seen is decided by
-    // the flat triangle: at the rim of a round thing the smooth normal may well point away from the eye.
-    vec3 flat_normal = cross(dFdx(v_to_eye), dFdy(v_to_eye));
-    float side = dot(flat_normal, v_to_eye) * dot(flat_normal, v_normal);
-    vec3 normal = normalize(side < 0.0 ? -v_normal : v_normal);
-    // Wrapped: surfaces turned away from the sun get darker bit by bit, so that walls of all directions differ.
-    float wrapped = 0.5 + 0.5 * dot(normal, u_to_sun);
-    float light = u_sun * wrapped * wrapped + u_ambient * mix(FLOOR_LIGHT, 1.0, 0.5 + 0.5 * dot(normal, u_up));
-    out_color = vec4(color.rgb * mix(light, 1.0, v_surface.x), color.a);
+    // the flat triangle, whose corners go round as its normals say: at the rim of a round thing the smooth normal may well point away.
+    vec3 normal = normalize(gl_FrontFacing ? v_normal : -v_normal);
+#endif
+#ifndef UNLIT
+    vec3 to_eye = eye.xyz - v_position;
+    vec3 flat_normal = cross(dFdx(v_position), dFdy(v_position));
+    Surface surface;
+    surface.position = v_position;
+    surface.normal = normal;
+    surface.face = dot(flat_normal, to_eye) < 0.0 ? -flat_normal : flat_normal;
+    surface.to_eye = to_eye;
+    surface.base_color = color.rgb;
+    surface.metallic = material.surface.x;
+    surface.roughness = material.surface.y;
+    surface.emissive = material.glow.rgb;
+    surface.occlusion = 1.0;
+#ifdef MATERIAL_MAPS
+    apply_maps(surface, v_uv, material.maps);
+#endif
+    color.rgb = shade(surface);
+#endif
+    out_color = color;
 #ifdef LABELS
-    out_label = v_label;
+    out_label = uvec2(v_label & 0xFFFFu, v_label >> 16);
 #endif
 #ifdef NORMALS
-    out_normal = vec4(0.5 + 0.5 * (u_optical_from_link * normal), 1.0);
+    out_normal = vec4(0.5 + 0.5 * (mat3(optical_from_world) * normal), 1.0);
+#endif
+#ifdef FLOW
+    // Clip y points down in the picture, as pixels do (the flip is in the projection).
+    vec2 before = (0.5 + 0.5 * v_before.xy / v_before.z) * size.xy;
+    vec2 now = (0.5 + 0.5 * (clip_from_world * vec4(v_position, 1.0)).xy / (clip_from_world * vec4(v_position, 1.0)).w) * size.xy;
+    out_flow = v_before.z > 0.0 ? now - before : vec2(uintBitsToFloat(0x7FC00000u));
 #endif
 }

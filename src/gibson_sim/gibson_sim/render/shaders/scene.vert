@@ -1,30 +1,81 @@
-// Takes triangles of one link to the image. Everything that concerns light is given in the frame of the link.
+// Takes triangles to the image.
 layout(location = 0) in vec3 in_position;
 layout(location = 1) in vec3 in_normal;
-layout(location = 2) in vec2 in_uv;
-layout(location = 3) in vec4 in_color;    // linear, and alpha
-layout(location = 4) in vec4 in_surface;  // x: 1 = unlit, y: alpha below which nothing is solid
+layout(location = 2) in uint in_material;
+layout(location = 3) in vec2 in_uv;
 #ifdef LABELS
-layout(location = 5) in uvec2 in_label;   // semantic class, instance
-flat out uvec2 v_label;
+layout(location = 4) in uint in_label;  // semantic class, and instance in the upper half
+flat out uint v_label;
 #endif
 
-uniform mat4 u_clip_from_link;
-uniform vec3 u_eye;
+layout(std140, binding = 0) uniform View {
+    mat4 clip_from_world;
+    mat4 clip_from_world_before;  // of the state before, for the flow
+    mat4 optical_from_world;      // rotation only
+    vec4 eye;                     // world frame
+    vec4 size;                    // width, height of the picture in pixels, near
+};
 
-out vec3 v_normal;
-out vec3 v_to_eye;
+#ifdef MOVING
+layout(location = 5) in uint in_link;
+struct Link { vec4 x, y, z; };  // rows of T_world_link
+layout(std430, binding = 0) readonly buffer Links { Link links[]; };
+#ifdef FLOW
+layout(std430, binding = 1) readonly buffer LinksBefore { Link links_before[]; };
+#endif
+#endif
+
+#ifdef SURFACE
+out vec3 v_position;  // world frame
+#endif
+#ifdef TURNED
+out vec3 v_normal;  // world frame
+#endif
+#ifdef FLOW
+out vec3 v_before;  // clip coordinates x, y, w of the state before
+#endif
+#ifdef LOOKED
+out vec3 v_local;  // frame of the link, metres
+#endif
 out vec2 v_uv;
-out vec4 v_color;
-flat out vec2 v_surface;
+#ifdef NUMBERED
+flat out uint v_material;
+#endif
+
+// Whatever else a program draws, it must put things at the same places to the bit.
+invariant gl_Position;
 
 void main() {
-    gl_Position = u_clip_from_link * vec4(in_position, 1.0);
-    v_normal = in_normal;
-    v_to_eye = u_eye - in_position;
+    vec3 position = in_position;
+    vec3 normal = in_normal;
+#ifdef MOVING
+    Link link = links[in_link];
+    vec4 here = vec4(position, 1.0);
+    position = vec3(dot(link.x, here), dot(link.y, here), dot(link.z, here));
+    normal = vec3(dot(link.x.xyz, normal), dot(link.y.xyz, normal), dot(link.z.xyz, normal));
+#endif
+    gl_Position = clip_from_world * vec4(position, 1.0);
+#ifdef SURFACE
+    v_position = position;
+#endif
+#ifdef TURNED
+    v_normal = normal;
+#endif
+#ifdef FLOW
+    vec3 before = position;
+#ifdef MOVING
+    Link then = links_before[in_link];
+    before = vec3(dot(then.x, here), dot(then.y, here), dot(then.z, here));
+#endif
+    v_before = (clip_from_world_before * vec4(before, 1.0)).xyw;
+#endif
+#ifdef LOOKED
+    v_local = in_position;
+#endif
     v_uv = in_uv;
-    v_color = in_color;
-    v_surface = in_surface.xy;
+#ifdef NUMBERED
+    v_material = in_material;
+#endif
 #ifdef LABELS
     v_label = in_label;
 #endif

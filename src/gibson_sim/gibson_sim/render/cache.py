@@ -1,0 +1,171 @@
+"""Keeps what loading a scene has made, so that the next start does not make it again.
+
+One file for each scene: a pickle of the ``Batches`` with its arrays outside it, page aligned, so that they are mapped into memory and
+never copied. What decides the result is in the file's name: what is drawn, and the code that reads and cuts it; the meshes and
+textures that were read are compared by size and time of change. A file is the user's own, as the folder is; do not load others'.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import mmap
+import os
+import pickle
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from gibson_sim import __version__
+from gibson_sim.render.batches import Batches
+from gibson_sim.render.clusters import simplifier
+from gibson_sim.robots.spec import VisualSpec
+
+_log = logging.getLogger(__name__)
+_MAGIC = b"gibson-sim scene 1\n"
+_PAGE = 4096
+SMALLEST = 20_000
+"""Scenes with fewer triangles are loaded as fast without."""
+LIMIT_BYTES = 8 * 2**30
+"""The folder is kept below this: what was unused for longest goes first."""
+
+
+def default_folder() -> Path:
+    """Returns ``$XDG_CACHE_HOME/gibson-sim/scenes``, or the same below ``~/.cache``."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(base) if base else Path.home() / ".cache") / "gibson-sim" / "scenes"
+
+
+class SceneCache:
+    """A folder of loaded scenes. Whatever goes wrong with it costs time, never the scene.
+
+    Args:
+        folder: where; made when first needed.
+        limit_bytes: as ``LIMIT_BYTES``.
+    """
+
+    def __init__(self, folder: Path, limit_bytes: int = LIMIT_BYTES) -> None:
+        self._folder, self._limit = folder, limit_bytes
+
+    def path(self, visuals: Sequence[VisualSpec], links: Sequence[str], labels: Sequence[tuple[int, int]], coarser: bool) -> Path:
+        """Returns the file for what is drawn; the arguments are those of ``build_batches``."""
+        digest = hashlib.sha256(_MAGIC)
+        for part in (__version__, _code_digest(), simplifier() is not None, coarser, tuple(links), tuple(labels), *visuals):
+            digest.update(repr(part).encode() + b"\0")
+        return self._folder / f"{digest.hexdigest()[:32]}.scene"
+
+    def load(self, path: Path) -> Batches | None:
+        """Returns what a file holds, or None where there is none, or none that still holds. Its arrays cannot be written to."""
+        try:
+            with path.open("rb") as file:
+                content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+            batches, files = _unpacked(memoryview(content))
+        except FileNotFoundError:
+            return None
+        except (
+            OSError,
+            ValueError,
+            pickle.UnpicklingError,
+            AttributeError,
+            ImportError,
+            EOFError,
+            TypeError,
+            struct.error,
+        ) as error:
+            _log.warning("%s is not a scene that can be used (%s); the scene is loaded from its files", path, error)
+            return None
+        if [_mark(Path(name)) for name, _ in files] != [mark for _, mark in files]:
+            return None
+        try:
+            os.utime(path)  # used just now: not the next one to go
+        except OSError as error:
+            _log.debug("%s: %s", path, error)
+        return batches
+
+    def store(self, path: Path, batches: Batches) -> None:
+        """Keeps ``batches``, if they are worth it, for the next ``load``."""
+        if batches.triangles < SMALLEST:
+            return
+        read = [*batches.files, *(_folders(batches.files) if batches.warnings else ())]
+        files = [(str(file), _mark(file)) for file in read]
+        temporary = path.with_suffix(f".{os.getpid()}")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            with temporary.open("wb") as file:
+                _pack(file, (batches, files))
+            temporary.replace(path)
+            self._trim()
+        except OSError as error:
+            _log.warning("the loaded scene cannot be kept in %s (%s); the next start will load it again", path.parent, error)
+            temporary.unlink(missing_ok=True)
+
+    def _trim(self) -> None:
+        """Deletes the files unused for longest until the rest is below the limit."""
+        files = sorted(self._folder.glob("*.scene"), key=lambda file: file.stat().st_mtime, reverse=True)
+        total = 0
+        for file in files:
+            total += file.stat().st_size
+            if total > self._limit and file != files[0]:
+                file.unlink(missing_ok=True)
+
+
+def _pack(file: Any, value: object) -> None:
+    buffers: list[pickle.PickleBuffer] = []
+    head = pickle.dumps(value, protocol=5, buffer_callback=buffers.append)
+    raw = [buffer.raw() for buffer in buffers]
+    sizes = struct.pack(f"<{2 + len(raw)}Q", len(head), len(raw), *(part.nbytes for part in raw))
+    file.write(_MAGIC + sizes + head)
+    for part in raw:
+        file.write(bytes(-file.tell() % _PAGE))
+        file.write(part)
+
+
+def _unpacked(content: memoryview) -> tuple[Batches, list[tuple[str, tuple[int, int] | None]]]:
+    at = len(_MAGIC)
+    if bytes(content[:at]) != _MAGIC:
+        raise ValueError("it does not begin as one")
+    size, count = struct.unpack_from("<2Q", content, at)
+    if count > len(content):
+        raise ValueError("it is damaged")
+    sizes = struct.unpack_from(f"<{count}Q", content, at + 16)
+    at += 16 + 8 * count
+    head, at = content[at : at + size], at + size
+    buffers = []
+    for length in sizes:
+        at += -at % _PAGE
+        if at + length > len(content):
+            raise ValueError("its end is missing")
+        buffers.append(content[at : at + length])
+        at += length
+    value: tuple[Batches, list[tuple[str, tuple[int, int] | None]]] = pickle.loads(head, buffers=buffers)
+    return value
+
+
+def _folders(files: Sequence[Path]) -> set[Path]:
+    """Returns the folders beside the files, where what was missing would turn up: a folder changes when a file is put into it."""
+    above = {file.parent.parent for file in files}
+    found = {file.parent for file in files} | above
+    for folder in above:
+        for pattern in ("*", "*/*"):
+            found.update(path for path in folder.glob(pattern) if path.is_dir())
+    return found
+
+
+def _mark(file: Path) -> tuple[int, int] | None:
+    """Returns size and time of change of a file, or None where it is gone."""
+    try:
+        found = file.stat()
+    except OSError:
+        return None
+    return found.st_size, found.st_mtime_ns
+
+
+def _code_digest() -> str:
+    """Returns a digest of the code that reads meshes and cuts them: another version of it may make something else of them."""
+    package = Path(__file__).parent.parent
+    files = [*sorted((package / "scenes").glob("*.py")), package / "render" / "batches.py", package / "render" / "clusters.py"]
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()

@@ -1,0 +1,349 @@
+"""Levels of detail: cuts triangles into clusters, and makes coarser clusters that may stand in for several finer ones.
+
+The scheme is that of Karis, Stubbe and Wihlidal, "Nanite: A Deep Dive" (SIGGRAPH 2021 course): neighbouring clusters form a group; the
+group is simplified to half its triangles while the vertices that it shares with other groups stay where they are; the result is
+cut into clusters again, and so on with other groups, so that borders that were kept at one level vanish at the next. Each cluster knows
+its error, and that of the coarser ones in its place, with a box about all that they replace. A renderer draws a cluster if its
+own error is small enough on the image and that of its replacement is not: a test that needs nothing but the cluster, and that
+neighbours pass or fail together, so that no cracks open. The simplifier is meshoptimizer's. No OpenGL here.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+_log = logging.getLogger(__name__)
+GROUP = 4
+"""Clusters that are simplified together."""
+REDUCTION = 0.85
+"""A group whose triangles cannot be brought below this part of their number keeps them."""
+NORMAL_WEIGHT_M = 0.02
+"""How far, metres, a surface may rather move than its normals turn by one radian: decides the order in which edges go."""
+SMALLEST = 128
+"""Fewer triangles than this get no coarser levels."""
+
+_SPARSE, _ERROR_ABSOLUTE = 2, 4
+_LEAST_ERROR = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clusters:
+    """Clusters of all levels, the finest first. A group is what was simplified together: it has one error and one box."""
+
+    triangles: I64
+    """(F, 3), rows of the vertices given; cluster by cluster."""
+    ends: I64
+    """(C,), row of ``triangles`` after the last of each cluster."""
+    level: I64
+    """(C,), 0 = the triangles that were given."""
+    group: I64
+    """(C,), the group whose simplification made this cluster; -1 for the finest, which have no error."""
+    next_group: I64
+    """(C,), the group whose simplification replaces this cluster; -1 = nothing does."""
+    group_error: F64
+    """(G,), metres from the triangles that were given; never less than that of the groups it was made from."""
+    group_box: F64
+    """(G, 6), smallest and largest corner, metres: where that error lies."""
+
+    @property
+    def starts(self) -> I64:
+        """(C,), row of the first triangle of each cluster."""
+        return np.concatenate([[0], self.ends[:-1]])
+
+
+Simplify = Callable[..., int]
+
+
+def simplifier() -> Simplify | None:
+    """Returns meshoptimizer's ``meshopt_simplifyWithAttributes``, or None where it is not installed: then no level is coarser."""
+    try:
+        from meshoptimizer.simplifier import lib
+    except ImportError:
+        return None
+    # The package's own wrapper declares no types, so sizes beyond the sixth argument arrive with garbage in their upper half.
+    size, real, pointer = ctypes.c_size_t, ctypes.c_float, ctypes.c_void_p
+    function: Simplify = ctypes.CFUNCTYPE(
+        size,
+        *(pointer, pointer, size, pointer, size, size, pointer, size, pointer, size, pointer, size, real, ctypes.c_uint, pointer),
+    )(("meshopt_simplifyWithAttributes", lib))
+    return function
+
+
+def build_clusters(
+    positions: F32,
+    normals: F32,
+    uvs: F32,
+    triangles: I64,
+    size: int,
+    fixed: NDArray[np.bool_] | None = None,
+    coarser: bool = True,
+) -> Clusters:
+    """Returns clusters of at most ``size`` triangles.
+
+    Args:
+        positions: (V, 3), metres.
+        normals: (V, 3).
+        uvs: (V, 2), in units of the texture's size.
+        triangles: (F, 3), rows of these.
+        size: triangles in a cluster.
+        fixed: (V,), vertices that must stay where they are; None = none.
+        coarser: make coarser levels too.
+    """
+    order, ends = split(positions[triangles].mean(axis=1, dtype=np.float64), size)
+    count = len(ends)
+    finest = _Level(triangles[order], ends, np.full(count, -1), np.zeros(count), _boxes(positions, triangles[order], ends))
+    levels, groups = [finest], _Groups()
+    simplify = simplifier() if coarser and len(triangles) >= SMALLEST else None
+    if simplify is not None:
+        work = _Work(simplify, positions, normals, uvs, triangles, size, fixed)
+        while len(levels[-1].ends) > 1:
+            following = work.coarser(levels[-1], groups)
+            if following is None:
+                break
+            levels.append(following)
+    return _join(levels, groups)
+
+
+@dataclass(slots=True)
+class _Groups:
+    errors: list[float] = field(default_factory=list)
+    boxes: list[F64] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class _Level:
+    triangles: I64
+    ends: I64
+    group: I64
+    error: F64
+    box: F64
+    next_group: I64 | None = None
+
+
+def _join(levels: list[_Level], groups: _Groups) -> Clusters:
+    counts = np.cumsum([0, *(len(level.triangles) for level in levels)])
+    return Clusters(
+        triangles=np.concatenate([level.triangles for level in levels]),
+        ends=np.concatenate([level.ends + first for level, first in zip(levels, counts, strict=False)]),
+        level=np.repeat(np.arange(len(levels)), [len(level.ends) for level in levels]),
+        group=np.concatenate([level.group for level in levels]),
+        next_group=np.concatenate([np.full(len(v.ends), -1) if v.next_group is None else v.next_group for v in levels]),
+        group_error=np.array(groups.errors, dtype=np.float64),
+        group_box=np.array(groups.boxes, dtype=np.float64).reshape(-1, 6),
+    )
+
+
+class _Work:
+    """What all levels of one mesh share."""
+
+    def __init__(
+        self,
+        simplify: Simplify,
+        positions: F32,
+        normals: F32,
+        uvs: F32,
+        triangles: I64,
+        size: int,
+        fixed: NDArray[np.bool_] | None,
+    ) -> None:
+        self._function = simplify
+        self._size = size
+        self._positions = np.ascontiguousarray(positions, dtype=np.float32)
+        self._attributes = np.ascontiguousarray(np.hstack([normals, uvs]), dtype=np.float32)
+        # Errors of attributes count in the unit of positions: uvs as the distance that the texture slides over the surface.
+        self._weights = np.array([NORMAL_WEIGHT_M] * 3 + [_metres_per_uv(positions, uvs, triangles)] * 2, dtype=np.float32)
+        self._weights /= max(float(np.ptp(positions, axis=0).max()), 1e-9)
+        # Vertices of one place, told apart by their attributes, move together.
+        self._place = places(self._positions)
+        self._fixed = np.zeros(int(self._place.max()) + 1, dtype=bool)
+        if fixed is not None:
+            self._fixed[self._place[fixed]] = True
+
+    def coarser(self, level: _Level, groups: _Groups) -> _Level | None:
+        """Returns the level after ``level``, and notes in it what replaces its clusters; None if nothing got any coarser."""
+        clusters = np.repeat(np.arange(len(level.ends)), np.diff(level.ends, prepend=0))
+        centroids = self._positions[level.triangles].mean(axis=1, dtype=np.float64)
+        group_of = self._groups(level.triangles, clusters, _means(centroids, level.ends))
+        lock = self._locks(level.triangles, group_of[clusters])
+        starts = np.concatenate([[0], level.ends[:-1]])
+        order = np.argsort(group_of, kind="stable")
+        level.next_group = np.full(len(level.ends), -1)
+        pieces: list[I64] = []
+        ends: list[int] = []
+        made_by: list[int] = []
+        count = 0
+        for members in np.split(order, np.cumsum(np.bincount(group_of))[:-1]):
+            merged = np.concatenate([level.triangles[starts[c] : level.ends[c]] for c in members])
+            simple, error = self._simplify(merged, lock)
+            if len(simple) > REDUCTION * len(merged):
+                continue
+            level.next_group[members] = number = len(groups.errors)
+            groups.errors.append(max(error, float(level.error[members].max()), _LEAST_ERROR))
+            box = level.box[members]
+            groups.boxes.append(np.concatenate([box[:, :3].min(axis=0), box[:, 3:].max(axis=0)]))
+            if not len(simple):
+                continue
+            inside, inside_ends = split(self._positions[simple].mean(axis=1, dtype=np.float64), self._size)
+            pieces.append(simple[inside])
+            ends += (inside_ends + count).tolist()
+            made_by += [number] * len(inside_ends)
+            count += len(simple)
+        if not pieces:
+            return None
+        errors, boxes = np.array(groups.errors)[made_by], np.array(groups.boxes)[made_by]
+        return _Level(np.concatenate(pieces), np.array(ends), np.array(made_by), errors, boxes)
+
+    def _groups(self, triangles: I64, clusters: I64, centres: F64) -> I64:
+        """Returns the group of each cluster, (C,): those that share most vertices go together.
+
+        What was kept along the border of an earlier group is denser than the rest, so it weighs most and is set free next.
+        """
+        count = len(centres)
+        pairs = np.unique(np.repeat(clusters, 3) + self._place[triangles].ravel() * count)
+        places, members = pairs // count, pairs % count
+        edges = []
+        for step in (1, 2, 3):
+            same = places[step:] == places[:-step]
+            edges.append(members[:-step][same] * count + members[step:][same])
+        codes, weights = np.unique(np.concatenate(edges), return_counts=True)
+        along = np.empty(count, dtype=np.int64)
+        along[np.argsort(morton(centres), kind="stable")] = np.arange(count)
+        group_of = np.arange(count)
+        for _ in range(GROUP.bit_length() - 1):
+            group_of = _matched(group_of, codes // count, codes % count, weights, along)
+        return group_of
+
+    def _locks(self, triangles: I64, groups: I64) -> NDArray[np.uint8]:
+        """Returns 1 for every vertex, (V,), whose place several groups share, or that is fixed."""
+        places = self._place[triangles].ravel()
+        group = np.repeat(groups, 3)
+        lowest = np.full(len(self._fixed), np.iinfo(np.int64).max)
+        highest = np.full(len(self._fixed), -1)
+        np.minimum.at(lowest, places, group)
+        np.maximum.at(highest, places, group)
+        locked: NDArray[np.bool_] = ((lowest < highest) & (highest >= 0)) | self._fixed
+        return np.ascontiguousarray(locked[self._place], dtype=np.uint8)
+
+    def _simplify(self, triangles: I64, lock: NDArray[np.uint8]) -> tuple[I64, float]:
+        """Returns about half as many triangles, and the error, metres."""
+        indices = np.ascontiguousarray(triangles.ravel(), dtype=np.uint32)
+        out = np.empty_like(indices)
+        error = ctypes.c_float(0.0)
+        places, attributes = self._positions, self._attributes
+        count = self._function(
+            out.ctypes.data, indices.ctypes.data, len(indices), places.ctypes.data, len(places), places.strides[0],
+            attributes.ctypes.data, attributes.strides[0], self._weights.ctypes.data, len(self._weights), lock.ctypes.data,
+            len(indices) // 6 * 3, 1e6, _SPARSE | _ERROR_ABSOLUTE, ctypes.addressof(error),
+        )  # fmt: skip
+        return out[:count].reshape(-1, 3).astype(np.int64), error.value
+
+
+def _matched(group_of: I64, a: I64, b: I64, weights: I64, along: I64) -> I64:
+    """Returns groups joined in pairs: the heaviest edges (a, b) between two groups first, what is left in the order ``along``."""
+    first, second = np.minimum(group_of[a], group_of[b]), np.maximum(group_of[a], group_of[b])
+    count = int(group_of.max()) + 1
+    apart = first < second
+    codes, inverse = np.unique(first[apart] * count + second[apart], return_inverse=True)
+    sums = np.bincount(inverse, weights=weights[apart]).astype(np.int64)
+    partner = np.full(count, -1)
+    for code in codes[np.argsort(-sums, kind="stable")].tolist():
+        one, other = divmod(code, count)
+        if partner[one] < 0 and partner[other] < 0:
+            partner[one], partner[other] = other, one
+    place = np.full(count, np.iinfo(np.int64).max)
+    np.minimum.at(place, group_of, along)
+    alone = np.flatnonzero(partner < 0)
+    alone = alone[np.argsort(place[alone], kind="stable")]
+    for one, other in zip(alone[0::2].tolist(), alone[1::2].tolist(), strict=False):
+        partner[one], partner[other] = other, one
+    joined = np.minimum(np.arange(count), np.where(partner < 0, np.arange(count), partner))
+    result: I64 = np.unique(joined, return_inverse=True)[1][group_of]
+    return result
+
+
+def _metres_per_uv(positions: F32, uvs: F32, triangles: I64) -> float:
+    """Returns the size of the texture on the surface, metres, as a mean over the area."""
+    a, b, c = (positions[triangles[:, k]].astype(np.float64) for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+    p, q, r = (uvs[triangles[:, k]].astype(np.float64) for k in range(3))
+    u, v = q - p, r - p
+    area_uv = np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum()
+    return float(np.sqrt(area / area_uv)) if area_uv > 1e-12 * max(area, 1e-12) else 0.0
+
+
+def _means(values: F64, ends: I64) -> F64:
+    """Returns the mean of each run of rows that ends at ``ends``."""
+    starts = np.concatenate([[0], ends[:-1]])
+    means: F64 = np.add.reduceat(values, starts, axis=0) / (ends - starts)[:, None]
+    return means
+
+
+def _boxes(positions: F32, triangles: I64, ends: I64) -> F64:
+    """Returns the box (smallest, largest corner) about the triangles of each cluster, (C, 6)."""
+    starts = np.concatenate([[0], ends[:-1]])
+    corners = positions[triangles].astype(np.float64)
+    low = np.minimum.reduceat(corners.min(axis=1), starts, axis=0)
+    return np.hstack([low, np.maximum.reduceat(corners.max(axis=1), starts, axis=0)])
+
+
+def places(positions: F32) -> I64:
+    """Returns a number for each vertex, (V,), the same for all at one place: 0, 1, 2, ..."""
+    bits = np.ascontiguousarray(positions + np.float32(0.0)).view(np.uint32).astype(np.uint64)  # + 0: there is a negative zero
+    # Two places in the same number, all but impossible, would move together: no harm done.
+    key = (
+        bits[:, 0] * np.uint64(0x9E3779B97F4A7C15)
+        ^ bits[:, 1] * np.uint64(0xC2B2AE3D27D4EB4F)
+        ^ bits[:, 2] * np.uint64(0x165667B19E3779F9)
+    )
+    numbers: I64 = np.unique(key ^ (key >> np.uint64(29)), return_inverse=True)[1].astype(np.int64)
+    return numbers
+
+
+def split(points: F64, size: int) -> tuple[I64, I64]:
+    """Cuts points into neighbourhoods of at most ``size``, along the longest side first.
+
+    Returns:
+        The order of the points, (N,), and where each neighbourhood ends in it, (C,).
+    """
+    leaves = list(_leaves(points, np.argsort(morton(points), kind="stable"), size))
+    return np.concatenate(leaves), np.cumsum([len(leaf) for leaf in leaves])
+
+
+def _leaves(points: F64, rows: I64, size: int) -> Iterator[I64]:
+    stack = [rows]
+    while stack:
+        rows = stack.pop()
+        if len(rows) <= size:
+            yield rows
+            continue
+        here = points[rows]
+        axis = int(np.argmax(np.ptp(here, axis=0)))
+        # Whole neighbourhoods on the lower side; a stable sort keeps equal coordinates in the order they had.
+        wholes = (len(rows) + size - 1) // size
+        lower = size * (wholes // 2)
+        by_axis = np.argsort(here[:, axis], kind="stable")
+        upper = np.zeros(len(rows), dtype=bool)
+        upper[by_axis[lower:]] = True
+        stack += [rows[upper], rows[~upper]]
+
+
+def morton(points: F64) -> I64:
+    """Returns positions along a Z-order curve, (N,), of points (N, 3)."""
+    low = points.min(axis=0)
+    size = max(float(np.ptp(points, axis=0).max()), 1e-9)
+    cells = ((points - low) / size * 1023.0).astype(np.int64)
+    code = np.zeros(len(points), dtype=np.int64)
+    for bit in range(10):
+        for axis in range(3):
+            code |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return code

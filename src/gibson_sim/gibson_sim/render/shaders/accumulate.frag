@@ -1,0 +1,10 @@
+// Adds its part to an average of pictures, in linear light.
+uniform sampler2D u_color;
+uniform float u_weight;
+uniform int u_shift;  // rows from the average to the picture
+
+layout(location = 0) out vec4 out_color;
+
+void main() {
+    out_color = u_weight * texelFetch(u_color, ivec2(gl_FragCoord.xy) + ivec2(0, u_shift), 0);
+}

@@ -1,0 +1,16 @@
+// One triangle over all of the picture, as far away as can be, with the way that each pixel looks.
+layout(std140, binding = 0) uniform View {
+    mat4 clip_from_world;
+    mat4 clip_from_world_before;
+    mat4 optical_from_world;
+    vec4 eye;
+    vec4 size;
+};
+out vec3 v_direction;  // world frame, any length
+
+void main() {
+    vec2 at = vec2(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0);
+    gl_Position = vec4(at, 0.0, 1.0);
+    vec4 near = inverse(clip_from_world) * vec4(at, 1.0, 1.0);
+    v_direction = near.xyz / near.w - eye.xyz;
+}

@@ -1,0 +1,319 @@
+"""A lidar of many beams measured by drawing: pinhole views all around, in which every ray looks up its distance.
+
+A ray hardly ever goes through the middle of a pixel, so the depth found there is carried over to it along the surface: on a plane
+``1 / depth`` is linear in the pixels, and the neighbours on the same plane give its slope. Beyond an edge there is no such neighbour,
+and nothing is averaged across it. What a ray of the physics engine meets are collision shapes; here it is what is drawn.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.geometry.transforms import Mat3, Mat4, matrix_from_quat, pose_from_matrix
+from gibson_sim.types import CameraSpec, Frame, Output, SceneState
+
+MAX_ELEVATION = math.radians(90.0)
+_STEEP = math.radians(45.0)
+"""Rays steeper than this are looked up in views that look straight up and down."""
+_NEAR = 0.01
+"""Metres: what is nearer to the lidar than this does not hide what is behind it."""
+_MARGIN = 3
+"""Pixels around the outermost rays: room for rounding and for two neighbours."""
+_LEAST_FOCAL, _MOST_FOCAL = 48.0, 4000.0
+_FAR_AWAY = 1e6
+"""Metres below the scene: where the lidar's own body is put while it measures."""
+_ROUNDING = 2e-5
+"""Relative error of a drawn depth that says nothing of the surface."""
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+
+class Draws(Protocol):
+    """``Renderer``, as far as it is needed here."""
+
+    def render(self, state: SceneState, cameras: Sequence[CameraSpec]) -> list[Frame]:
+        """Returns a frame for each camera."""
+
+
+@dataclass(frozen=True, slots=True)
+class LidarPattern:
+    """Where a spinning lidar looks: every beam at every azimuth, all at the same instant."""
+
+    elevations: tuple[float, ...]
+    """Radians above the link's x-y plane, one for each beam (ring), in any order."""
+    azimuth_steps: int = 720
+    """Rays of a beam in one turn, evenly: the first along the link's x axis, then counter-clockwise."""
+    range_min: float = 0.3
+    """Metres; nearer returns are reported as -inf (REP 117)."""
+    range_max: float = 100.0
+    """Metres; no return nearer than this is reported as +inf (REP 117)."""
+    pixels_per_step: float = 2.0
+    """Resolution of the views: pixels in their middle between two rays of a beam, and more elsewhere. It decides how exactly edges stand."""
+
+    def __post_init__(self) -> None:
+        if not self.elevations or not all(abs(e) <= MAX_ELEVATION for e in self.elevations):
+            raise ConfigError(
+                f"lidar pattern: elevations are {self.elevations}, must be one or more angles from -pi/2 to pi/2 rad; "
+                "were they given in degrees?"
+            )
+        if not 4 <= self.azimuth_steps <= 36_000:
+            raise ConfigError(f"lidar pattern: azimuth_steps is {self.azimuth_steps}, must be 4 to 36000")
+        if not 0.0 <= self.range_min < self.range_max < math.inf:
+            raise ConfigError(
+                f"lidar pattern: range_min is {self.range_min:g} and range_max {self.range_max:g} m, "
+                "must be 0 <= range_min < range_max, both finite"
+            )
+        if not 0.25 <= self.pixels_per_step <= 16.0:
+            raise ConfigError(f"lidar pattern: pixels_per_step is {self.pixels_per_step:g}, must be 0.25 to 16")
+
+
+def even_elevations(beams: int, lowest: float, highest: float) -> tuple[float, ...]:
+    """Returns elevations at even distances, both ends included, radians: 16 beams from -15 to 15 degrees are those of a VLP-16."""
+    return tuple(float(e) for e in np.linspace(lowest, highest, beams))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RenderedScan:
+    """One turn of a lidar. ``points``, ``ring``, ``column`` and what follows have a row for each return, ring by ring."""
+
+    stamp_ns: int
+    """Stamp of the state that was measured."""
+    link: str
+    """``<body>/<link>``: the frame of the points."""
+    ranges: F32
+    """(beams, azimuth_steps) float32, metres; +inf = no return, -inf = nearer than range_min (REP 117)."""
+    points: F32
+    """(N, 3) float32, metres, frame of the link."""
+    ring: NDArray[np.uint16]
+    """(N,) uint16, index into the pattern's elevations."""
+    column: NDArray[np.uint16]
+    """(N,) uint16, azimuth step."""
+    semantic: NDArray[np.uint16] | None = None
+    """(N,) uint16, index into the scene's semantic classes, or None if not asked for."""
+    instance: NDArray[np.uint16] | None = None
+    """(N,) uint16, index into the scene's instances, or None."""
+    intensity: F32 | None = None
+    """(N,) float32, 0 to 1, or None."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """A pinhole picture and the rays that look into it."""
+
+    camera: CameraSpec
+    """Pose in the frame of the link, link empty."""
+    T_link_view: Mat4
+    rays: I64
+    """(R,) which rays, ring by ring."""
+    pixel: I64
+    """(R,) the nearest pixel of each, row by row."""
+    right: F32
+    """(R,) pixels from its middle to the ray."""
+    down: F32
+    length: F32
+    """(R,) metres of ray for each metre along the axis."""
+
+
+class RenderedLidar:
+    """A lidar on a link.
+
+    Args:
+        link: ``<body>/<link>``; the rays leave from its origin.
+        pattern: where they go.
+        labels: also return the semantic class and the instance of what each ray meets.
+        intensity: also return how much light comes back: the brightness of the picture there times the cosine at which the ray
+            meets the surface (a matt surface that shines as brightly under the lidar's own light as it does under that of the scene).
+        see_own_body: whether rays meet the body that the link belongs to; the ray-cast lidar's do not.
+    """
+
+    def __init__(
+        self, link: str, pattern: LidarPattern, *, labels: bool = False, intensity: bool = False, see_own_body: bool = False
+    ) -> None:
+        self.link, self.pattern = link, pattern
+        self._see_own_body = see_own_body
+        outputs: list[Output] = ["depth"]
+        outputs += ["semantic", "instance"] if labels else []
+        outputs += ["rgb", "normal"] if intensity else []
+        self._outputs = tuple(outputs)
+        self.directions = _directions(pattern)
+        """(beams * azimuth_steps, 3), unit vectors in the frame of the link, ring by ring."""
+        self._views = _views(pattern, self.directions, self._outputs)
+
+    @property
+    def views(self) -> tuple[CameraSpec, ...]:
+        """The cameras that are drawn, posed in the frame of the link."""
+        return tuple(view.camera for view in self._views)
+
+    def measure(self, state: SceneState, renderer: Draws) -> RenderedScan:
+        """Returns what the lidar sees in ``state``; all its views are drawn in one call.
+
+        Args:
+            state: where everything is.
+            renderer: draws the scene that the state belongs to.
+
+        Raises:
+            ConfigError: the scene has no such link.
+        """
+        if self.link not in state.links:
+            raise ConfigError(f"lidar on {self.link!r}: no such link in the scene; known: {', '.join(state.links)}")
+        row = state.links.index(self.link)
+        T_world_link = np.eye(4)
+        T_world_link[:3, :3] = matrix_from_quat(state.quats_xyzw[row])
+        T_world_link[:3, 3] = state.positions[row]
+        cameras = [replace(view.camera, pose=pose_from_matrix(T_world_link @ view.T_link_view)) for view in self._views]
+        frames = renderer.render(state if self._see_own_body else self._without_own_body(state), cameras)
+        distance = np.empty(len(self.directions), dtype=np.float32)
+        for view, frame in zip(self._views, frames, strict=True):
+            distance[view.rays] = _look_up(view, frame)
+        return self._scan(state.stamp_ns, distance, frames)
+
+    def _without_own_body(self, state: SceneState) -> SceneState:
+        """Returns the state with the links of the lidar's body far below the scene."""
+        body = self.link.partition("/")[0]
+        own = np.array([link.partition("/")[0] == body for link in state.links])
+        return replace(state, positions=state.positions - own[:, None] * (0.0, 0.0, _FAR_AWAY))
+
+    def _scan(self, stamp_ns: int, distance: F32, frames: Sequence[Frame]) -> RenderedScan:
+        pattern = self.pattern
+        hit = (distance >= pattern.range_min) & (distance <= pattern.range_max)
+        ranges = np.where(hit, distance, np.where(distance < pattern.range_min, -np.inf, np.inf)).astype(np.float32)
+        ring, column = np.divmod(np.flatnonzero(hit), pattern.azimuth_steps)
+        labels = [self._gather(frames, name)[hit] if name in self._outputs else None for name in ("semantic", "instance")]
+        return RenderedScan(
+            stamp_ns=stamp_ns,
+            link=self.link,
+            ranges=ranges.reshape(len(pattern.elevations), pattern.azimuth_steps),
+            points=(self.directions[hit] * distance[hit, None]).astype(np.float32),
+            ring=ring.astype(np.uint16),
+            column=column.astype(np.uint16),
+            semantic=labels[0],
+            instance=labels[1],
+            intensity=self._intensity(frames)[hit] if "rgb" in self._outputs else None,
+        )
+
+    def _gather(self, frames: Sequence[Frame], name: str) -> NDArray[np.uint16]:
+        out = np.zeros(len(self.directions), dtype=np.uint16)
+        for view, frame in zip(self._views, frames, strict=True):
+            out[view.rays] = getattr(frame, name).ravel()[view.pixel]
+        return out
+
+    def _intensity(self, frames: Sequence[Frame]) -> F32:
+        out = np.zeros(len(self.directions), dtype=np.float32)
+        for view, frame in zip(self._views, frames, strict=True):
+            assert frame.rgb is not None
+            assert frame.normal is not None
+            color = frame.rgb.reshape(-1, 3)[view.pixel] / np.float32(255.0)
+            light = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4) @ (0.2126, 0.7152, 0.0722)
+            rays = self.directions[view.rays] @ view.T_link_view[:3, :3]
+            cosine = np.abs(np.einsum("ij,ij->i", frame.normal.reshape(-1, 3)[view.pixel], rays))
+            out[view.rays] = light * cosine
+        return out
+
+
+def _directions(pattern: LidarPattern) -> F64:
+    elevation = np.array(pattern.elevations)[:, None]
+    azimuth = np.arange(pattern.azimuth_steps)[None, :] * (2 * math.pi / pattern.azimuth_steps)
+    parts = np.broadcast_arrays(np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation))
+    return np.stack(parts, axis=-1).reshape(-1, 3)
+
+
+def _views(pattern: LidarPattern, directions: F64, outputs: tuple[Output, ...]) -> list[_View]:
+    """Returns the views that all rays together need: four around, and one up and one down if some are steep."""
+    focal = pattern.pixels_per_step * pattern.azimuth_steps / (2 * math.pi)
+    focal = min(max(focal, _LEAST_FOCAL), _MOST_FOCAL)
+    steep = np.abs(directions[:, 2]) > math.sin(_STEEP)
+    quarter = np.round(np.arctan2(directions[:, 1], directions[:, 0]) / (math.pi / 2)).astype(np.int64) % 4
+    side = np.where(steep, np.where(directions[:, 2] > 0.0, 4, 5), quarter)
+    rotations = [*(_around(k) for k in range(4)), _upright(1.0), _upright(-1.0)]
+    views = []
+    for number, R_link_view in enumerate(rotations):
+        rays = np.flatnonzero(side == number)
+        if len(rays):
+            views.append(_view(f"lidar_view_{number}", R_link_view, rays, directions[rays], focal, pattern, outputs))
+    return views
+
+
+def _around(quarter: int) -> Mat3:
+    """Returns R_link_view of a view that looks horizontally: optical x is to the right, y down."""
+    c, s = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[quarter]
+    return np.array([[s, 0.0, c], [-c, 0.0, s], [0.0, -1.0, 0.0]])
+
+
+def _upright(up: float) -> Mat3:
+    return np.array([[0.0, up, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, up]])
+
+
+def _view(
+    name: str, R_link_view: Mat3, rays: I64, directions: F64, focal: float, pattern: LidarPattern, outputs: tuple[Output, ...]
+) -> _View:
+    in_view = directions @ R_link_view
+    flat = in_view[:, :2] / in_view[:, 2:]
+    low, high = flat.min(axis=0) * focal, flat.max(axis=0) * focal
+    centre = np.ceil(-low) + _MARGIN
+    width, height = (int(n) for n in np.ceil(high) + centre + _MARGIN + 1)
+    uv = flat * focal + centre
+    nearest = np.rint(uv)
+    T_link_view = np.eye(4)
+    T_link_view[:3, :3] = R_link_view
+    camera = CameraSpec(
+        name,
+        "",
+        pose_from_matrix(T_link_view),
+        width,
+        height,
+        near=min(_NEAR, pattern.range_max / 2),
+        far=pattern.range_max,
+        outputs=outputs,
+        matrix=(focal, 0.0, float(centre[0]), 0.0, focal, float(centre[1]), 0.0, 0.0, 1.0),
+    )
+    offset = (uv - nearest).astype(np.float32)
+    pixel = (nearest[:, 1] * width + nearest[:, 0]).astype(np.int64)
+    length = (1.0 / in_view[:, 2]).astype(np.float32)
+    return _View(camera, T_link_view, rays, pixel, offset[:, 0], offset[:, 1], length)
+
+
+def _look_up(view: _View, frame: Frame) -> F32:
+    """Returns the distance along each ray of a view, (R,), metres, +inf = nothing."""
+    assert frame.depth is not None
+    inverse = np.reciprocal(frame.depth.ravel())  # +inf becomes 0
+    middle = inverse[view.pixel]
+    across = _change(inverse, view.pixel, middle, 1, view.right)
+    along = _change(inverse, view.pixel, middle, frame.camera.width, view.down)
+    # Near the horizon of a plane the ray may leave it within the pixel; it is not carried farther than that.
+    carried = np.clip(middle + across + along, 0.5 * middle, 2.0 * middle)
+    with np.errstate(divide="ignore"):
+        return np.asarray(view.length / carried, dtype=np.float32)
+
+
+def _change(inverse: F32, pixel: I64, middle: F32, step: int, offset: F32) -> F32:
+    """Returns how ``inverse`` changes from the middle of each pixel to ``offset`` pixels beside it, along rows or columns.
+
+    On the side where the surface goes on as a plane it changes evenly; where it goes on to both sides in one curve, it follows the
+    curve; where it goes on to neither, there is no change.
+    """
+    rounding = np.float32(_ROUNDING) * middle
+    slopes, bends = [], []
+    for side in (step, -step):
+        first, second = inverse[pixel + side], inverse[pixel + 2 * side]
+        slope = first - middle
+        bend = np.abs(second - first - slope)
+        bends.append(np.where(bend <= 0.5 * np.abs(slope) + rounding, bend, np.float32(np.inf)))
+        slopes.append(slope if side > 0 else -slope)
+    after, before = slopes
+    better = np.where(bends[0] <= bends[1], after, before)
+    plane = np.where(np.minimum(*bends) < np.inf, better, np.float32(0.0)) * offset
+    bend = after - before
+    curve = (0.5 * (after + before) + 0.5 * bend * offset) * offset
+    # The crease between two planes bends far more than the planes beside it.
+    worst = np.maximum(*bends)
+    smooth = (np.abs(bend) <= 2.0 * worst + rounding) & (worst < np.inf)
+    return np.where(smooth, curve, plane)

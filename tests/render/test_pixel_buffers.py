@@ -1,0 +1,151 @@
+"""Asynchronous readback gives back what the target held when it was asked, in any order."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gibson_sim.errors import RenderError
+from gibson_sim.render import gl as GL
+from gibson_sim.render.context import GlContext, open_context
+from gibson_sim.render.pixel_buffers import RAW, Pending, PixelBuffers
+from gibson_sim.render.readback import Readback, Shot
+from gibson_sim.render.target import FEATURES, Target
+from gibson_sim.types import OUTPUTS, CameraSpec
+from support.targets import blank_images, fill, random_images
+
+pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
+WIDTH, HEIGHT = 13, 7  # no multiples of four: rows are not padded
+EYE = CameraSpec("eye", "", width=WIDTH, height=HEIGHT, outputs=OUTPUTS, matrix=(4.0, 0.0, 6.25, 0.0, 4.0, 3.25, 0.0, 0.0, 1.0))
+
+
+@pytest.fixture
+def context() -> Iterator[GlContext]:
+    opened = open_context()
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def target(context: GlContext) -> Target:
+    return Target(context, WIDTH, HEIGHT, FEATURES)
+
+
+@pytest.fixture
+def buffers(context: GlContext) -> PixelBuffers:
+    return PixelBuffers(context)
+
+
+@pytest.mark.parametrize("name", list(RAW))
+def test_every_attachment_comes_back_to_the_bit(context: GlContext, target: Target, buffers: PixelBuffers, name: str) -> None:
+    images = random_images(WIDTH, HEIGHT)
+    fill(context, target, images)
+    got = buffers.finish(buffers.start(target))[name]
+    assert got.shape == images[name].shape
+    assert got.dtype == images[name].dtype
+    assert got.tobytes() == images[name].tobytes()
+
+
+def test_only_what_is_wanted_comes_back(target: Target, buffers: PixelBuffers) -> None:
+    assert list(buffers.finish(buffers.start(target, ("LABELS", "depth")))) == ["LABELS", "depth"]
+
+
+def test_row_0_is_what_is_drawn_first_in_memory_so_the_top(context: GlContext, target: Target, buffers: PixelBuffers) -> None:
+    images = blank_images(WIDTH, HEIGHT)
+    images["LABELS"][0, 2] = (7, 9)
+    fill(context, target, images)
+    labels = buffers.finish(buffers.start(target))["LABELS"]
+    assert labels[0, 2].tolist() == [7, 9]
+    assert labels.sum() == 16
+
+
+def test_a_read_holds_what_was_there_when_it_was_started(context: GlContext, target: Target, buffers: PixelBuffers) -> None:
+    first, second = random_images(WIDTH, HEIGHT, 1), random_images(WIDTH, HEIGHT, 2)
+    fill(context, target, first)
+    before = buffers.start(target)
+    fill(context, target, second)
+    after = buffers.start(target)
+    # Fetched the other way round, so that neither is what happened to be left over.
+    np.testing.assert_array_equal(buffers.finish(after)["color"], second["color"])
+    np.testing.assert_array_equal(buffers.finish(before)["color"], first["color"])
+
+
+def test_arrays_belong_to_the_caller(context: GlContext, target: Target, buffers: PixelBuffers) -> None:
+    images = random_images(WIDTH, HEIGHT)
+    fill(context, target, images)
+    kept = buffers.finish(buffers.start(target))
+    fill(context, target, blank_images(WIDTH, HEIGHT))
+    buffers.finish(buffers.start(target))
+    np.testing.assert_array_equal(kept["color"], images["color"])
+
+
+def test_a_finished_read_is_done_and_cannot_be_fetched_again(target: Target, buffers: PixelBuffers) -> None:
+    ticket = buffers.start(target)
+    buffers.finish(ticket)
+    assert buffers.done(ticket)
+    with pytest.raises(RenderError, match="fetched already"):
+        buffers.finish(ticket)
+
+
+def test_a_buffer_is_used_again_for_the_next_read_of_its_size(target: Target, buffers: PixelBuffers) -> None:
+    names = set()
+    for _ in range(5):
+        ticket = buffers.start(target)
+        names.add(ticket.buffer.name)
+        buffers.finish(ticket)
+    assert len(names) == 1
+
+
+def test_reads_that_are_under_way_share_no_buffer(target: Target, buffers: PixelBuffers) -> None:
+    tickets = [buffers.start(target) for _ in range(3)]
+    assert len({ticket.buffer.name for ticket in tickets}) == 3
+
+
+def test_a_target_can_still_be_read_into_host_memory(context: GlContext, target: Target, buffers: PixelBuffers) -> None:
+    images = random_images(WIDTH, HEIGHT)
+    fill(context, target, images)
+    buffers.start(target, ("color",))
+    out = np.zeros((HEIGHT, WIDTH, 4), dtype=np.uint8)
+    gl = GL.Gl(context)
+    gl.glReadPixels(0, 0, WIDTH, HEIGHT, GL.RGBA, GL.UNSIGNED_BYTE, out.ctypes.data)
+    np.testing.assert_array_equal(out, images["color"])
+
+
+def test_closing_drops_reads_that_are_under_way(target: Target, buffers: PixelBuffers) -> None:
+    ticket = buffers.start(target)
+    buffers.close()
+    buffers.close()
+    with pytest.raises(RenderError, match="closed"):
+        buffers.finish(ticket)
+
+
+def test_frames_are_those_of_the_host_in_the_order_of_the_cameras(
+    context: GlContext, target: Target, buffers: PixelBuffers
+) -> None:
+    fill(context, target, random_images(WIDTH, HEIGHT))
+    left = replace(EYE, name="left", width=5)
+    shots = [Shot(left, 3, np.eye(4)), Shot(replace(left, name="right", width=8), 3, np.eye(4), 5, 0)]
+    pending = Pending(context, buffers, [(buffers.start(target), shots, (1, 0))])
+    frames = pending.result()
+    assert [frame.camera.name for frame in frames] == ["right", "left"]
+    for frame, expected in zip(frames, Readback(context).frames(target, shots[::-1]), strict=True):
+        for output in OUTPUTS:
+            np.testing.assert_array_equal(getattr(frame, output), getattr(expected, output), err_msg=output)
+
+
+def test_frames_stay_when_the_target_changes_and_can_be_asked_for_twice(
+    context: GlContext, target: Target, buffers: PixelBuffers
+) -> None:
+    images = random_images(WIDTH, HEIGHT)
+    fill(context, target, images)
+    pending = Pending(context, buffers, [(buffers.start(target), [Shot(EYE, 3, np.eye(4))], (0,))])
+    fill(context, target, blank_images(WIDTH, HEIGHT))
+    first = pending.result()
+    buffers.finish(buffers.start(target))
+    assert pending.done()
+    assert pending.result() is first
+    np.testing.assert_array_equal(first[0].rgb, images["color"][..., :3])
+    np.testing.assert_array_equal(first[0].flow, images["FLOW"])

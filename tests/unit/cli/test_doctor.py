@@ -1,0 +1,92 @@
+"""What ``gibson-sim doctor`` says of graphics: one line for each device, with a remedy where it does not draw."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from gibson_sim.cli import doctor
+
+UUID = "01234567-89ab-cdef-0123-456789abcdef"
+OTHER = "fedcba98-7654-3210-fedc-ba9876543210"
+Answers = Callable[[dict[str, tuple[bool, str]]], None]
+
+
+@pytest.fixture
+def answers(monkeypatch: pytest.MonkeyPatch) -> Answers:
+    """Sets what the programs answer that doctor runs, by a word in them."""
+
+    def set_answers(by_word: dict[str, tuple[bool, str]]) -> None:
+        def answer(code: str) -> tuple[bool, str]:
+            return next(text for word, text in by_word.items() if word in code)
+
+        monkeypatch.setattr(doctor, "_try", answer)
+
+    return set_answers
+
+
+def device(index: int, **changes: Any) -> dict[str, Any]:
+    usual = {
+        "index": index, "vendor": "NVIDIA Corporation", "renderer": "NVIDIA GPU", "version": "4.6", "drm_node": "/dev/dri/renderD128",
+        "software": False, "usable": True, "problem": "", "uuid": UUID, "cuda_ordinal": -1,
+    }  # fmt: skip
+    return {**usual, **changes}
+
+
+def devices(*found: dict[str, Any]) -> tuple[bool, str]:
+    return True, json.dumps(found)
+
+
+def cuda(uuid: str) -> tuple[bool, str]:
+    return True, json.dumps([{"ordinal": 3, "name": "NVIDIA GPU", "uuid": uuid}])
+
+
+def test_every_device_draws_for_itself(answers: Answers) -> None:
+    answers(
+        {
+            "list_devices": devices(device(0, vendor="Mesa"), device(1, vendor="Mesa")),
+            "self_test(0)": (True, "pixel-exact"),
+            "self_test(1)": (False, "draws wrongly: 12 of 4096 colours"),
+        }
+    )
+    found = list(doctor._graphics())
+    assert [(f.what, f.status) for f in found] == [("EGL device 0", "ok"), ("EGL device 1", "FAIL")]
+    assert found[0].detail == f"pixel-exact, UUID {UUID}"
+    assert "12 of 4096" in found[1].detail
+    assert "--egl-device" in found[1].remedy
+
+
+def test_a_device_that_cannot_be_opened_is_a_warning_and_is_not_drawn_with(answers: Answers) -> None:
+    answers({"list_devices": devices(device(0, usable=False, problem="no right to open it")), "self_test": (True, "drawn")})
+    found = list(doctor._graphics())
+    assert [(f.what, f.status) for f in found] == [("EGL", "FAIL"), ("EGL device 0", "warn")]
+    assert "no right to open it" in found[1].detail
+
+
+def test_cuda_is_said_to_have_the_gpu_that_draws(answers: Answers) -> None:
+    answers({"list_devices": devices(device(1)), "self_test": (True, "drawn"), "CudaPython": cuda(UUID)})
+    finding = list(doctor._graphics())[-1]
+    assert (finding.what, finding.status, finding.detail) == ("CUDA", "ok", "cuda:3 NVIDIA GPU is EGL device 1")
+
+
+def test_cuda_on_another_gpu_is_a_warning_with_a_remedy(answers: Answers) -> None:
+    answers({"list_devices": devices(device(1)), "self_test": (True, "drawn"), "CudaPython": cuda(OTHER)})
+    finding = list(doctor._graphics())[-1]
+    assert (finding.what, finding.status) == ("CUDA", "warn")
+    assert OTHER in finding.detail
+    assert "CUDA_VISIBLE_DEVICES" in finding.remedy
+
+
+def test_without_cuda_the_remedy_is_the_extra(answers: Answers) -> None:
+    answers({"list_devices": devices(device(0)), "self_test": (True, "drawn"), "CudaPython": (False, "no CUDA here")})
+    finding = list(doctor._graphics())[-1]
+    assert (finding.what, finding.status) == ("CUDA", "warn")
+    assert "gibson-sim[cuda]" in finding.remedy
+
+
+def test_nothing_is_said_of_cuda_where_no_nvidia_gpu_draws(answers: Answers) -> None:
+    answers({"list_devices": devices(device(0, vendor="Mesa/X.org", software=True)), "self_test": (True, "drawn")})
+    assert [f.what for f in doctor._graphics()] == ["EGL device 0"]

@@ -1,0 +1,230 @@
+"""Levels of detail: whatever is chosen stands for every triangle once, has no cracks, and is as coarse as it says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import lru_cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gibson_sim.render import clusters as module
+from gibson_sim.render.batches import Batches
+from gibson_sim.render.clusters import REDUCTION, Clusters, build_clusters, split
+from gibson_sim.render.visibility import Detail, Visibility
+from gibson_sim.scenes.mesh_types import Mesh, MeshPart
+from support.surfaces import batches_of, bumpy_grid, bumpy_sphere, drawn_positions, in_two, open_edges, textured
+
+SIZE = 256
+needs_simplifier = pytest.mark.skipif(module.simplifier() is None, reason="meshoptimizer is not installed")
+
+
+def _built(part: MeshPart, fixed: NDArray[np.bool_] | None = None) -> Clusters:
+    assert part.uvs is not None
+    return build_clusters(part.vertices, part.normals, part.uvs, part.triangles.astype(np.int64), SIZE, fixed)
+
+
+@lru_cache(maxsize=1)
+def _sphere() -> tuple[MeshPart, Clusters]:
+    part = bumpy_sphere()
+    return part, _built(part)
+
+
+MESHES = {
+    "sphere": lambda: Mesh((bumpy_sphere(material=textured("one")),)),
+    "sphere of two textures": lambda: in_two(bumpy_sphere(material=textured("one")), textured("other")),
+    "sphere of two materials": lambda: in_two(bumpy_sphere(material=textured("one")), textured("lit", unlit=False), axis=2),
+}
+"""Closed surfaces."""
+
+
+@lru_cache(maxsize=4)
+def _batches(name: str) -> Batches:
+    return batches_of(Mesh((bumpy_grid(material=textured("one")),)) if name == "grid" else MESHES[name]())
+
+
+def _choices(batches: Batches, seed: int = 0) -> Iterator[NDArray[np.int64]]:
+    """Chunks for many eyes and errors, from everything at its finest to everything at its coarsest."""
+    visibility, rng = Visibility(batches), np.random.default_rng(seed)
+    for _ in range(40):
+        eye = rng.normal(size=(1, 3)) * rng.uniform(0.3, 6.0)
+        yield visibility.choose(eye, Detail(float(10 ** rng.uniform(1.0, 3.5)), 0.5, 0.05))
+    for error in np.geomspace(1e-6, 1.0, 12):
+        yield visibility.choose_for(float(error))
+
+
+def _standing_for(batches: Batches) -> NDArray[np.float64]:
+    """Returns for each chunk (row) which part of each finest chunk (column) it stands for; what a group made shares its members."""
+    group, following = batches.chunk_group, batches.chunk_next_group
+    finest = np.flatnonzero(group < 0)
+    parts = np.zeros((len(group), len(finest)))
+    parts[finest, np.arange(len(finest))] = 1.0
+    for number in range(len(batches.group_error)):  # a group is made after those that its members come from
+        made = np.flatnonzero(group == number)
+        parts[made] = parts[following == number].sum(axis=0) / max(len(made), 1)
+    return parts
+
+
+def test_every_triangle_given_is_at_the_finest_level_once() -> None:
+    part, built = _sphere()
+    finest = built.triangles[: built.ends[built.level == 0].max()]
+    assert len(np.unique(built.triangles[: len(finest)], axis=0)) == len(part.triangles) == len(finest)
+    np.testing.assert_array_equal(np.unique(finest, axis=0), np.unique(part.triangles, axis=0))
+
+
+def test_no_cluster_is_empty_or_larger_than_asked_for() -> None:
+    _, built = _sphere()
+    sizes = built.ends - built.starts
+    assert sizes.min() > 0
+    assert sizes.max() <= SIZE
+    assert built.ends[-1] == len(built.triangles)
+
+
+@needs_simplifier
+def test_coarser_clusters_have_fewer_triangles_than_what_they_replace() -> None:
+    part, built = _sphere()
+    sizes = built.ends - built.starts
+    assert len(built.group_error) > 20
+    for group in range(len(built.group_error)):
+        assert 0 < sizes[built.group == group].sum() <= REDUCTION * sizes[built.next_group == group].sum()
+    coarsest = sizes[built.next_group < 0].sum()
+    assert coarsest < len(part.triangles) / 20
+
+
+@needs_simplifier
+def test_errors_and_boxes_grow_towards_coarser_groups() -> None:
+    part, built = _sphere()
+    replaced = np.flatnonzero(built.next_group >= 0)
+    for cluster in replaced:
+        corners = part.vertices[built.triangles[built.starts[cluster] : built.ends[cluster]]].reshape(-1, 3)
+        error, box = built.group_error[built.next_group[cluster]], built.group_box[built.next_group[cluster]]
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        if built.group[cluster] >= 0:
+            own = built.group_box[built.group[cluster]]
+            assert error >= built.group_error[built.group[cluster]]
+            assert (box[:3] <= own[:3]).all() and (box[3:] >= own[3:]).all()
+        assert (box[:3] <= low).all() and (box[3:] >= high).all()
+    assert built.group_error.min() > 0.0
+
+
+@needs_simplifier
+def test_levels_are_as_near_to_the_surface_as_their_errors_say() -> None:
+    # z of a relief at its own vertices, against the coarse triangles above or below them.
+    part = bumpy_grid()
+    built = _built(part)
+    checked = 0
+    for group in np.flatnonzero(built.group_error < 0.03):
+        for cluster in np.flatnonzero(built.group == group):
+            corners = part.vertices[built.triangles[built.starts[cluster] : built.ends[cluster]]].astype(np.float64)
+            checked += len(corners)
+            worst = max(_distance_in_z(part.vertices, triangle) for triangle in corners[:: max(len(corners) // 8, 1)])
+            # The simplifier's errors are quadrics: root mean squares over the neighbourhood of a vertex, not bounds to the last bit.
+            assert worst <= 2.0 * built.group_error[group] + 1e-4
+    assert checked > 5_000
+
+
+def _distance_in_z(points: NDArray[np.float32], triangle: NDArray[np.float64]) -> float:
+    """Returns how far, metres, points above and below a triangle are from its plane; 0 if there are none."""
+    a, u, v = triangle[0], triangle[1] - triangle[0], triangle[2] - triangle[0]
+    area = u[0] * v[1] - u[1] * v[0]
+    if abs(area) < 1e-9:
+        return 0.0
+    near = points[(np.abs(points[:, :2] - triangle[:, :2].mean(axis=0)) <= np.ptp(triangle[:, :2], axis=0)).all(axis=1)].astype(float)
+    way = near - a
+    s, t = (way[:, 0] * v[1] - way[:, 1] * v[0]) / area, (u[0] * way[:, 1] - u[1] * way[:, 0]) / area
+    inside = (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0)
+    slope = abs(area) / float(np.linalg.norm(np.cross(u, v)))
+    return float(np.abs(way[:, 2] - s * u[2] - t * v[2])[inside].max(initial=0.0)) * slope
+
+
+@needs_simplifier
+@pytest.mark.parametrize("name", [*MESHES, "grid"])
+def test_what_is_chosen_stands_for_every_triangle_exactly_once(name: str) -> None:
+    batches = _batches(name)
+    parts = _standing_for(batches)
+    drawn = set()
+    for chosen in _choices(batches):
+        np.testing.assert_allclose(parts[chosen].sum(axis=0), 1.0, atol=1e-9)
+        drawn.add(int(batches.chunk_count[chosen].sum()) // 3)
+    assert len(drawn) > 15
+    assert max(drawn) == batches.triangles
+    assert min(drawn) < batches.triangles / 8
+
+
+@needs_simplifier
+@pytest.mark.parametrize("name", MESHES)
+def test_a_closed_surface_stays_closed_at_any_detail(name: str) -> None:
+    batches = _batches(name)
+    for chosen in _choices(batches):
+        assert len(open_edges(drawn_positions(batches, chosen))) == 0
+
+
+@needs_simplifier
+def test_an_open_surface_is_open_along_its_border_only() -> None:
+    batches = _batches("grid")
+    for chosen in _choices(batches):
+        edges = open_edges(drawn_positions(batches, chosen))
+        # The square reaches from -2 to 2: both ends of an open edge are on the same side of it.
+        assert (np.isclose(np.abs(edges[:, :, :2]), 2.0, atol=1e-6).all(axis=1)).any(axis=1).all()
+        along = np.abs(edges[:, 1, :2] - edges[:, 0, :2]).sum()
+        assert along == pytest.approx(16.0, abs=1e-3), "the border goes round once"
+
+
+def test_a_surface_with_a_hole_is_called_open() -> None:
+    part = bumpy_sphere(20)
+    assert len(open_edges(part.vertices[part.triangles])) == 0
+    assert len(open_edges(part.vertices[part.triangles[1:]])) == 3
+
+
+@needs_simplifier
+def test_fixed_vertices_stay_at_every_level() -> None:
+    part = bumpy_grid(60)
+    fixed = np.zeros(len(part.vertices), dtype=bool)
+    fixed[np.random.default_rng(2).choice(len(fixed), 40, replace=False)] = True
+    with_fixed, without = _built(part, fixed), _built(part)
+    used = np.unique(with_fixed.triangles[with_fixed.starts[with_fixed.next_group < 0][0] :])
+    coarsest = np.concatenate([with_fixed.triangles[s:e] for s, e in _spans(with_fixed, with_fixed.next_group < 0)])
+    assert np.isin(np.flatnonzero(fixed), used).all()
+    assert np.isin(np.flatnonzero(fixed), coarsest).all()
+    free = np.concatenate([without.triangles[s:e] for s, e in _spans(without, without.next_group < 0)])
+    assert not np.isin(np.flatnonzero(fixed), free).all()
+
+
+def _spans(built: Clusters, which: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    return list(zip(built.starts[which].tolist(), built.ends[which].tolist(), strict=True))
+
+
+@needs_simplifier
+def test_a_flat_surface_with_a_straight_texture_loses_nothing() -> None:
+    built = _built(bumpy_grid(80, height=0.0))
+    assert built.group_error.max() < 1e-5
+    assert (built.ends - built.starts)[built.next_group < 0].sum() < 200
+
+
+@needs_simplifier
+def test_a_bent_texture_on_a_flat_surface_counts_as_an_error() -> None:
+    flat = bumpy_grid(80, height=0.0)
+    x, y, _ = flat.vertices.T
+    bent = np.stack([x / 4 + 0.5 + 0.05 * np.sin(6 * y), y / 4 + 0.5], axis=1).astype(np.float32)
+    built = _built(MeshPart(flat.vertices, flat.normals, bent, flat.triangles))
+    # The texture is 4 m wide, so 0.05 of it is 20 cm: coarse triangles slide it by centimetres.
+    assert built.group_error.max() > 0.01
+
+
+def test_without_a_simplifier_there_is_one_level_with_everything(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "simplifier", lambda: None)
+    batches = batches_of(Mesh((bumpy_grid(40),)))
+    assert (batches.chunk_group == -1).all()
+    assert (batches.chunk_next_group == -1).all()
+    for chosen in _choices(batches):
+        assert batches.chunk_count[chosen].sum() == 3 * 2 * 40**2
+
+
+def test_splitting_puts_every_point_into_one_neighbourhood() -> None:
+    points = np.random.default_rng(1).normal(size=(5000, 3))
+    order, ends = split(points, 64)
+    np.testing.assert_array_equal(np.sort(order), np.arange(5000))
+    assert np.diff(ends, prepend=0).max() <= 64
+    boxes = [np.ptp(points[rows], axis=0).prod() for rows in np.split(order, ends[:-1])]
+    assert np.median(boxes) < np.ptp(points, axis=0).prod() / 20
