@@ -1,0 +1,49 @@
+"""``gibson-sim gallery``: one picture of everything the renderer makes of a scene."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from gibson_sim.cli.exit_codes import ExitCode
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_matrix
+from gibson_sim.resources import find_config
+from gibson_sim.scenes.placement import populate
+from gibson_sim.scenes.randomise_yaml import load_rules
+from gibson_sim.scenes.spec import drawn_scene
+
+
+def add_parser(subparsers: Any) -> None:
+    """Adds the sub-command."""
+    parser = subparsers.add_parser("gallery", help="write one picture of all outputs, cameras, effects and lights of a scene")
+    parser.add_argument("scene", nargs="?", default="flat", help="name, folder or file of a scene (default: flat)")
+    parser.add_argument("--output", default="gallery.png", metavar="FILE", help="the picture (default: gallery.png)")
+    parser.add_argument(
+        "--at", default="", metavar="PLACE", help="name of a start pose, or x,y,yaw_deg (default: the scene's first start pose)"
+    )
+    parser.add_argument("--rules", default="example", metavar="FILE", help="rules of the randomised pictures (default: example)")
+    parser.set_defaults(run=_run)
+
+
+def _run(args: argparse.Namespace) -> ExitCode:
+    # Loaded here: the other sub-commands need no OpenGL.
+    from gibson_sim.render.cache import default_folder
+    from gibson_sim.sensors.gallery import EYE_HEIGHT, gallery
+
+    scene = populate(args.scene, "gibson_bot", args.at)
+    eye = matrix_from_pose(scene.robots[0].start)
+    eye[2, 3] += EYE_HEIGHT
+    rules = load_rules(find_config(args.rules, "randomisation"))
+    picture = gallery(drawn_scene(scene, ()), pose_from_matrix(eye), rules, default_folder())
+    path = Path(args.output)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not cv2.imwrite(str(path), picture[:, :, ::-1]):
+        raise GibsonSimError(
+            f"{path} cannot be written: is the folder writable and the disk not full, and does the name end in .png?"
+        )
+    print(path)
+    return ExitCode.OK
