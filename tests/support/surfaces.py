@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from contextlib import AbstractContextManager
+from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.render import batches
 from gibson_sim.render.batches import Batches, build_batches
 from gibson_sim.render.clusters import places
 from gibson_sim.robots.spec import Shape, VisualSpec
@@ -44,7 +47,9 @@ def bumpy_sphere(rings: int = 71, radius: float = 1.0, material: Material | None
     total = np.zeros((int(number.max()) + 1, 3))
     np.add.at(total, number, normals)
     normals = total[number] / np.linalg.norm(total[number], axis=1, keepdims=True)
-    uvs = np.stack([np.tile(np.arange(columns + 1) / columns, rings + 1), np.repeat(np.arange(rings + 1) / rings, columns + 1)], 1)
+    uvs = np.stack(
+        [np.tile(np.arange(columns + 1) / columns, rings + 1), np.repeat(np.arange(rings + 1) / rings, columns + 1)], 1
+    )
     return MeshPart(
         vertices, normals.astype(np.float32), uvs.astype(np.float32), triangles.astype(np.uint32), material or Material()
     )
@@ -71,9 +76,7 @@ def in_two(part: MeshPart, other: Material, axis: int = 0) -> Mesh:
 def _picked(part: MeshPart, triangles: NDArray[np.uint32], material: Material) -> MeshPart:
     used, numbers = np.unique(triangles, return_inverse=True)
     assert part.uvs is not None
-    return MeshPart(
-        part.vertices[used], part.normals[used], part.uvs[used], numbers.reshape(-1, 3).astype(np.uint32), material
-    )
+    return MeshPart(part.vertices[used], part.normals[used], part.uvs[used], numbers.reshape(-1, 3).astype(np.uint32), material)
 
 
 def textured(name: str, unlit: bool = True) -> Material:
@@ -83,19 +86,25 @@ def textured(name: str, unlit: bool = True) -> Material:
     return Material(name, (1.0, 1.0, 1.0, 1.0), TextureSource(name, pixels.astype(np.uint8)), unlit=unlit)
 
 
+def detail_from(triangles: int) -> AbstractContextManager[object]:
+    """Lets scenes of so many triangles have levels of detail, as long as it is entered."""
+    return mock.patch.object(batches, "DETAIL_FROM", triangles)
+
+
 def batches_of(mesh: Mesh, coarser: bool = True) -> Batches:
-    """Returns what the renderer makes of a mesh in the world."""
+    """Returns what the renderer makes of a mesh in the world, with levels of detail however small it is."""
     visual = VisualSpec("mesh", "", Shape("mesh", mesh="/mesh"))
-    return build_batches([visual], (), lambda shape: mesh, coarser=coarser)
+    with detail_from(1):
+        return build_batches([visual], (), lambda shape: mesh, coarser=coarser)
 
 
-def drawn_positions(batches: Batches, chunks: I64) -> F32:
+def drawn_positions(scene: Batches, chunks: I64) -> F32:
     """Returns the corners of all triangles of some chunks, (F, 3, 3), metres."""
     rows = [
         np.arange(first, first + count)
-        for first, count in zip(batches.chunk_first[chunks].tolist(), batches.chunk_count[chunks].tolist(), strict=True)
+        for first, count in zip(scene.chunk_first[chunks].tolist(), scene.chunk_count[chunks].tolist(), strict=True)
     ]
-    corners: F32 = batches.vertices["position"][batches.indices[np.concatenate(rows)]]
+    corners: F32 = scene.vertices["position"][scene.indices[np.concatenate(rows)]]
     return corners.reshape(-1, 3, 3)
 
 

@@ -81,6 +81,24 @@ def test_no_cluster_is_empty_or_larger_than_asked_for() -> None:
     assert built.ends[-1] == len(built.triangles)
 
 
+@pytest.mark.parametrize("rings", [6, 12, 17, 24, 33])
+def test_chunks_of_a_scene_are_those_clusters(rings: int) -> None:
+    part = bumpy_sphere(rings)
+    built = _built(part)
+    assert (np.diff(built.level) >= 0).all()
+    batches = batches_of(Mesh((part,)))
+    every = np.arange(len(batches.chunk_first))
+    finest = drawn_positions(batches, every[batches.chunk_group < 0])
+    expected = part.vertices[part.triangles]
+    np.testing.assert_array_equal(*(t[np.lexsort(t.reshape(-1, 9).T)] for t in (finest, expected)))
+    corners = {tuple(vertex) for vertex in part.vertices.tolist()}
+    for chunk in every:
+        positions = drawn_positions(batches, every[chunk : chunk + 1]).reshape(-1, 3)
+        assert {tuple(p) for p in positions.tolist()} <= corners
+        low, high = positions.min(axis=0).astype(np.float64), positions.max(axis=0).astype(np.float64)
+        np.testing.assert_allclose(batches.chunk_box[chunk], [*(low + high) / 2, *(high - low) / 2], atol=1e-12)
+
+
 @needs_simplifier
 def test_coarser_clusters_have_fewer_triangles_than_what_they_replace() -> None:
     part, built = _sphere()
@@ -111,31 +129,30 @@ def test_errors_and_boxes_grow_towards_coarser_groups() -> None:
 @needs_simplifier
 def test_levels_are_as_near_to_the_surface_as_their_errors_say() -> None:
     # z of a relief at its own vertices, against the coarse triangles above or below them.
-    part = bumpy_grid()
+    part = bumpy_grid(60)
     built = _built(part)
-    checked = 0
-    for group in np.flatnonzero(built.group_error < 0.03):
-        for cluster in np.flatnonzero(built.group == group):
-            corners = part.vertices[built.triangles[built.starts[cluster] : built.ends[cluster]]].astype(np.float64)
-            checked += len(corners)
-            worst = max(_distance_in_z(part.vertices, triangle) for triangle in corners[:: max(len(corners) // 8, 1)])
-            # The simplifier's errors are quadrics: root mean squares over the neighbourhood of a vertex, not bounds to the last bit.
-            assert worst <= 2.0 * built.group_error[group] + 1e-4
-    assert checked > 5_000
+    for group in range(len(built.group_error)):
+        made = np.concatenate([part.vertices[built.triangles[s:e]] for s, e in _spans(built, built.group == group)])
+        away = np.concatenate([_away(part.vertices, triangle.astype(np.float64)) for triangle in made])
+        assert len(away) > 40
+        # An error of quadrics is a mean over the surface around a vertex: single points may be a few times farther away.
+        assert np.sqrt((away**2).mean()) <= built.group_error[group] + 1e-6
+        assert away.max() <= 8.0 * built.group_error[group] + 1e-6
 
 
-def _distance_in_z(points: NDArray[np.float32], triangle: NDArray[np.float64]) -> float:
-    """Returns how far, metres, points above and below a triangle are from its plane; 0 if there are none."""
+def _away(points: NDArray[np.float32], triangle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns how far, metres, the points above and below a triangle are from its plane."""
+    low, high = triangle[:, :2].min(axis=0), triangle[:, :2].max(axis=0)
     a, u, v = triangle[0], triangle[1] - triangle[0], triangle[2] - triangle[0]
     area = u[0] * v[1] - u[1] * v[0]
-    if abs(area) < 1e-9:
-        return 0.0
-    near = points[(np.abs(points[:, :2] - triangle[:, :2].mean(axis=0)) <= np.ptp(triangle[:, :2], axis=0)).all(axis=1)].astype(float)
-    way = near - a
+    if abs(area) < 1e-9:  # upright, or a line
+        return np.zeros(0)
+    way = points[((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)].astype(np.float64) - a
     s, t = (way[:, 0] * v[1] - way[:, 1] * v[0]) / area, (u[0] * way[:, 1] - u[1] * way[:, 0]) / area
     inside = (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0)
     slope = abs(area) / float(np.linalg.norm(np.cross(u, v)))
-    return float(np.abs(way[:, 2] - s * u[2] - t * v[2])[inside].max(initial=0.0)) * slope
+    away: NDArray[np.float64] = np.abs(way[:, 2] - s * u[2] - t * v[2])[inside] * slope
+    return away
 
 
 @needs_simplifier
@@ -147,7 +164,7 @@ def test_what_is_chosen_stands_for_every_triangle_exactly_once(name: str) -> Non
     for chosen in _choices(batches):
         np.testing.assert_allclose(parts[chosen].sum(axis=0), 1.0, atol=1e-9)
         drawn.add(int(batches.chunk_count[chosen].sum()) // 3)
-    assert len(drawn) > 15
+    assert len(drawn) > 8
     assert max(drawn) == batches.triangles
     assert min(drawn) < batches.triangles / 8
 
@@ -183,10 +200,15 @@ def test_fixed_vertices_stay_at_every_level() -> None:
     fixed = np.zeros(len(part.vertices), dtype=bool)
     fixed[np.random.default_rng(2).choice(len(fixed), 40, replace=False)] = True
     with_fixed, without = _built(part, fixed), _built(part)
-    used = np.unique(with_fixed.triangles[with_fixed.starts[with_fixed.next_group < 0][0] :])
     coarsest = np.concatenate([with_fixed.triangles[s:e] for s, e in _spans(with_fixed, with_fixed.next_group < 0)])
-    assert np.isin(np.flatnonzero(fixed), used).all()
+    for level in range(int(with_fixed.level.max()) + 1):
+        # Clusters that nothing replaces stand for their place at all coarser levels too.
+        there = (with_fixed.level == level) | ((with_fixed.level < level) & (with_fixed.next_group < 0))
+        assert np.isin(
+            np.flatnonzero(fixed), np.concatenate([with_fixed.triangles[s:e] for s, e in _spans(with_fixed, there)])
+        ).all()
     assert np.isin(np.flatnonzero(fixed), coarsest).all()
+    assert len(coarsest) < len(part.triangles) / 10
     free = np.concatenate([without.triangles[s:e] for s, e in _spans(without, without.next_group < 0)])
     assert not np.isin(np.flatnonzero(fixed), free).all()
 
@@ -198,7 +220,8 @@ def _spans(built: Clusters, which: NDArray[np.bool_]) -> list[tuple[int, int]]:
 @needs_simplifier
 def test_a_flat_surface_with_a_straight_texture_loses_nothing() -> None:
     built = _built(bumpy_grid(80, height=0.0))
-    assert built.group_error.max() < 1e-5
+    # Squares of distances are summed in 32 bits: of 4 m about 1 mm is lost in rounding.
+    assert built.group_error.max() < 2e-3
     assert (built.ends - built.starts)[built.next_group < 0].sum() < 200
 
 
@@ -206,7 +229,7 @@ def test_a_flat_surface_with_a_straight_texture_loses_nothing() -> None:
 def test_a_bent_texture_on_a_flat_surface_counts_as_an_error() -> None:
     flat = bumpy_grid(80, height=0.0)
     x, y, _ = flat.vertices.T
-    bent = np.stack([x / 4 + 0.5 + 0.05 * np.sin(6 * y), y / 4 + 0.5], axis=1).astype(np.float32)
+    bent = np.stack([x / 4 + 0.5 + 0.05 * np.sin(6 * y) * np.sin(6 * x), y / 4 + 0.5], axis=1).astype(np.float32)
     built = _built(MeshPart(flat.vertices, flat.normals, bent, flat.triangles))
     # The texture is 4 m wide, so 0.05 of it is 20 cm: coarse triangles slide it by centimetres.
     assert built.group_error.max() > 0.01
@@ -219,6 +242,28 @@ def test_without_a_simplifier_there_is_one_level_with_everything(monkeypatch: py
     assert (batches.chunk_next_group == -1).all()
     for chosen in _choices(batches):
         assert batches.chunk_count[chosen].sum() == 3 * 2 * 40**2
+
+
+@needs_simplifier
+def test_triangles_without_area_do_not_keep_it_busy_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    simplify = module.simplifier()
+    assert simplify is not None
+    calls = []
+
+    def counted(*arguments: object) -> int:
+        calls.append(1)
+        assert len(calls) < 10_000
+        return simplify(*arguments)
+
+    monkeypatch.setattr(module, "simplifier", lambda: counted)
+    relief, rng = bumpy_grid(40), np.random.default_rng(7)
+    dots = np.repeat(rng.uniform(-2.0, 2.0, (4000, 3)), 3, axis=0).astype(np.float32)
+    vertices = np.concatenate([relief.vertices, dots])
+    triangles = np.concatenate([relief.triangles, len(relief.vertices) + np.arange(12_000).reshape(-1, 3)]).astype(np.uint32)
+    normals = np.tile(np.array([0.0, 0.0, 1.0], dtype=np.float32), (len(vertices), 1))
+    built = _built(MeshPart(vertices, normals, np.zeros((len(vertices), 2), dtype=np.float32), triangles))
+    assert built.ends[built.level == 0].max() == len(triangles)
+    assert built.ends[-1] == len(built.triangles)
 
 
 def test_splitting_puts_every_point_into_one_neighbourhood() -> None:

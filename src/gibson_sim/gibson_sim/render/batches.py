@@ -7,6 +7,7 @@ world frame (link number 0), others in the frame of their link.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -32,6 +33,8 @@ F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 
 VERTEX = np.dtype([("position", "<f4", 3), ("normal", "<i2", 3), ("material", "<u2"), ("uv", "<f4", 2), ("label", "<u2", 2)])
+PLACEMENT = np.dtype([("link", "<u4"), ("label", "<u2", 2), ("material", "<u4")])
+"""One use of triangles that several bodies share: link, and what is added to the label and material numbers of the vertices."""
 MATERIAL = np.dtype([("color", "<f4", 4), ("surface", "<f4", 4), ("glow", "<f4", 4), ("maps", "<f4", 4)])
 """Base colour (linear) and alpha; metallic, roughness, alpha below which nothing is solid, 1 = unlit; emission; and of the further
 textures the scale of normals, the strength of occlusion, and how much they say of metallic and of roughness."""
@@ -40,6 +43,8 @@ LOOK = np.dtype([("tint", "<f4", (3, 4)), ("first", "<f4", 4), ("second", "<f4",
 MapSet = tuple[TextureSource | None, TextureSource | None, TextureSource | None, TextureSource | None]
 """Metallic-roughness, normals, occlusion, emission."""
 CHUNK_TRIANGLES = 256
+DETAIL_FROM = 50_000
+"""Scenes with fewer triangles are always drawn with all of them."""
 BLEND_CHUNKS = 2048
 """Translucent piles are cut into about this many chunks or single triangles, since they are drawn in order of their distance."""
 MAX_LABEL = 2**16 - 1
@@ -96,6 +101,10 @@ class Batches:
     """(C, 6), centre and half the size, metres, frame of the link."""
     chunk_link: I64
     """(C,), 0 = the world, else 1 + index in ``links``."""
+    chunk_placement: NDArray[np.uint32]
+    """(C,), row of ``placements``."""
+    placements: NDArray[np.void]
+    """(P,) of ``PLACEMENT``; the first is that of all static chunks."""
     chunk_group: I64
     """(C,), as ``Clusters.group``, numbered through the whole scene."""
     chunk_next_group: I64
@@ -292,8 +301,23 @@ class _Joiner:
         self._vertices: list[NDArray[np.void]] = []
         self._indices: list[I64] = []
         self._chunks: dict[str, list[NDArray[Any]]] = {
-            name: [] for name in ("first", "count", "box", "link", "group", "next", "error", "error_box", "error_link")
+            name: []
+            for name in (
+                "first",
+                "count",
+                "box",
+                "link",
+                "placed",
+                "group",
+                "next",
+                "error",
+                "error_box",
+                "error_link",
+                "placement",
+            )
         }
+        self._chunks["placement"].append(np.zeros(1, dtype=PLACEMENT))  # of all that is static
+        self._shapes: dict[bytes, dict[str, NDArray[Any]]] = {}
         self._index_count = self._vertex_count = self._chunk_count = self._group_count = self._triangles = 0
 
     def join(
@@ -308,9 +332,10 @@ class _Joiner:
         materials = table.materials()
         matte = (materials["surface"][:, 0] <= 0.0) & (materials["surface"][:, 1] >= MATTE_ROUGHNESS)
         looked_rows = np.array([bool(look) for _, look in table.rows], dtype=bool)
+        total = sum(len(t) for pile in piles.values() for t in pile.triangles)
+        self._coarser &= total >= DETAIL_FROM
         shared = _shared_places(piles) if self._coarser else {}
         batches: list[Batch] = []
-        total = sum(len(t) for pile in piles.values() for t in pile.triangles)
         for key in sorted(piles):
             self._progress("levels of detail", self._triangles / max(total, 1))
             first = self._chunk_count
@@ -343,6 +368,8 @@ class _Joiner:
             chunk_count=_joined(c["count"], np.uint32),
             chunk_box=_joined(c["box"], np.float64).reshape(-1, 6),
             chunk_link=_joined(c["link"], np.int64),
+            chunk_placement=_joined(c["placed"], np.uint32),
+            placements=np.concatenate(c["placement"]),
             chunk_group=_joined(c["group"], np.int64),
             chunk_next_group=_joined(c["next"], np.int64),
             group_error=_joined(c["error"], np.float64),
@@ -354,47 +381,82 @@ class _Joiner:
         )
 
     def _add(self, key: _Key, pile: _Pile, fixed: NDArray[np.bool_] | None) -> None:
-        """Appends the chunks of one pile, all levels."""
+        """Appends the chunks of one pile, all levels; what equals an earlier pile but for label, material and link uses its triangles."""
         _, texture, maps, kind, _, link = key
         vertices = np.concatenate(pile.vertices)
+        placement = np.zeros(1, dtype=PLACEMENT)
+        if link:
+            placement["link"] = link
+            for name in ("label", "material"):
+                if (vertices[name] == vertices[name][0]).all():
+                    placement[name] = vertices[name][0]
+                    vertices[name] = 0
         triangles = _wound(vertices, np.concatenate(pile.triangles))
         size = CHUNK_TRIANGLES
         if kind == "blend":
             size = min(max(len(triangles) // BLEND_CHUNKS, 1), size)
-        uvs = vertices["uv"] if max(texture, maps) >= 0 else np.zeros_like(vertices["uv"])
+        coarser, textured = self._coarser and kind != "blend", max(texture, maps) >= 0
+        digest = hashlib.sha256(repr((size, coarser, textured)).encode())
+        for array in (vertices, triangles, *(() if fixed is None else (fixed,))):
+            digest.update(np.ascontiguousarray(array).view(np.uint8).data)
+        shape = self._shapes.get(digest.digest())
+        if shape is None:
+            shape = self._shape(vertices, triangles, size, fixed, coarser, textured)
+            self._shapes[digest.digest()] = shape
+        chunks, groups = len(shape["first"]), len(shape["error"])
+        row = 0 if not link else sum(map(len, self._chunks["placement"]))
+        if link:
+            self._chunks["placement"].append(placement)
+        columns = {
+            **shape,
+            "link": np.full(chunks, link),
+            "placed": np.full(chunks, row),
+            "group": np.where(shape["group"] < 0, -1, shape["group"] + self._group_count),
+            "next": np.where(shape["next"] < 0, -1, shape["next"] + self._group_count),
+            "error_link": np.full(groups, link),
+        }
+        for name, column in columns.items():
+            self._chunks[name].append(column)
+        self._chunk_count += chunks
+        self._group_count += groups
+        self._triangles += len(triangles)
+
+    def _shape(
+        self,
+        vertices: NDArray[np.void],
+        triangles: I64,
+        size: int,
+        fixed: NDArray[np.bool_] | None,
+        coarser: bool,
+        textured: bool,
+    ) -> dict[str, NDArray[Any]]:
+        """Appends triangles, all levels, and returns their chunks and groups, the groups counted from 0."""
         clusters = build_clusters(
             vertices["position"],
             vertices["normal"].astype(np.float32) / np.float32(32767.0),
-            uvs,
+            vertices["uv"] if textured else np.zeros_like(vertices["uv"]),
             triangles,
             size,
             fixed,
-            self._coarser and kind != "blend",
+            coarser,
         )
         starts, ends = clusters.starts, clusters.ends
         corners = vertices["position"][clusters.triangles]
         low = np.minimum.reduceat(corners.min(axis=1), starts, axis=0).astype(np.float64)
         high = np.maximum.reduceat(corners.max(axis=1), starts, axis=0).astype(np.float64)
-        for level in range(int(clusters.level.max()) + 1):
+        for level in np.unique(clusters.level):
             rows = np.flatnonzero(clusters.level == level)
             self._add_level(vertices, clusters.triangles[starts[rows[0]] : ends[rows[-1]]])
         box = clusters.group_box
-        columns = {
+        return {
             "first": 3 * starts + self._index_count - clusters.triangles.size,
             "count": 3 * (ends - starts),
             "box": np.hstack([(low + high) / 2, (high - low) / 2]),
-            "link": np.full(len(ends), link),
-            "group": np.where(clusters.group < 0, -1, clusters.group + self._group_count),
-            "next": np.where(clusters.next_group < 0, -1, clusters.next_group + self._group_count),
+            "group": clusters.group,
+            "next": clusters.next_group,
             "error": clusters.group_error,
             "error_box": np.hstack([(box[:, :3] + box[:, 3:]) / 2, (box[:, 3:] - box[:, :3]) / 2]),
-            "error_link": np.full(len(box), link),
         }
-        for name, column in columns.items():
-            self._chunks[name].append(column)
-        self._chunk_count += len(ends)
-        self._group_count += len(box)
-        self._triangles += len(triangles)
 
     def _add_level(self, vertices: NDArray[np.void], triangles: I64) -> None:
         """Appends triangles with a copy of their vertices in the order of their first use.

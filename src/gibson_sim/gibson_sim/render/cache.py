@@ -7,6 +7,7 @@ textures that were read are compared by size and time of change. A file is the u
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import logging
 import mmap
@@ -23,7 +24,7 @@ from gibson_sim.render.clusters import simplifier
 from gibson_sim.robots.spec import VisualSpec
 
 _log = logging.getLogger(__name__)
-_MAGIC = b"gibson-sim scene 1\n"
+_MAGIC = b"gibson-sim scene 2\n"
 _PAGE = 4096
 SMALLEST = 20_000
 """Scenes with fewer triangles are loaded as fast without."""
@@ -98,7 +99,8 @@ class SceneCache:
             self._trim()
         except OSError as error:
             _log.warning("the loaded scene cannot be kept in %s (%s); the next start will load it again", path.parent, error)
-            temporary.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
 
     def _trim(self) -> None:
         """Deletes the files unused for longest until the rest is below the limit."""
@@ -115,7 +117,7 @@ def _pack(file: Any, value: object) -> None:
     head = pickle.dumps(value, protocol=5, buffer_callback=buffers.append)
     raw = [buffer.raw() for buffer in buffers]
     sizes = struct.pack(f"<{2 + len(raw)}Q", len(head), len(raw), *(part.nbytes for part in raw))
-    file.write(_MAGIC + sizes + head)
+    file.write(_MAGIC + hashlib.sha256(sizes + head).digest() + sizes + head)
     for part in raw:
         file.write(bytes(-file.tell() % _PAGE))
         file.write(part)
@@ -125,12 +127,13 @@ def _unpacked(content: memoryview) -> tuple[Batches, list[tuple[str, tuple[int, 
     at = len(_MAGIC)
     if bytes(content[:at]) != _MAGIC:
         raise ValueError("it does not begin as one")
-    size, count = struct.unpack_from("<2Q", content, at)
-    if count > len(content):
+    known, start = bytes(content[at : at + 32]), at + 32
+    size, count = struct.unpack_from("<2Q", content, start)
+    at = start + 16 + 8 * count + size
+    # Unpickling what is damaged may end anywhere.
+    if at > len(content) or hashlib.sha256(content[start:at]).digest() != known:
         raise ValueError("it is damaged")
-    sizes = struct.unpack_from(f"<{count}Q", content, at + 16)
-    at += 16 + 8 * count
-    head, at = content[at : at + size], at + size
+    sizes, head = struct.unpack_from(f"<{count}Q", content, start + 16), content[at - size : at]
     buffers = []
     for length in sizes:
         at += -at % _PAGE

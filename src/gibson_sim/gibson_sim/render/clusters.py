@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import ctypes
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,16 +24,23 @@ I64 = NDArray[np.int64]
 
 _log = logging.getLogger(__name__)
 GROUP = 4
-"""Clusters that are simplified together."""
+"""About so many full clusters are simplified together."""
+SLIDE_WEIGHT = 0.5
+"""How far, metres, a surface may rather move than its texture slide by one metre along it: decides that order too."""
+FIRST_ERROR = 0.02
+"""Error of the first coarser level, in median lengths of an edge."""
+ERROR_STEP = 1.7
+"""Each further level may have so many times the error of the one before."""
 REDUCTION = 0.85
 """A group whose triangles cannot be brought below this part of their number keeps them."""
 NORMAL_WEIGHT_M = 0.02
 """How far, metres, a surface may rather move than its normals turn by one radian: decides the order in which edges go."""
-SMALLEST = 128
-"""Fewer triangles than this get no coarser levels."""
+SMALLEST = 2048
+"""Fewer triangles than this get no coarser levels: there is nothing to be won."""
 
 _SPARSE, _ERROR_ABSOLUTE = 2, 4
 _LEAST_ERROR = 1e-9
+_ROUNDS = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,47 +107,48 @@ def build_clusters(
         coarser: make coarser levels too.
     """
     order, ends = split(positions[triangles].mean(axis=1, dtype=np.float64), size)
-    count = len(ends)
-    finest = _Level(triangles[order], ends, np.full(count, -1), np.zeros(count), _boxes(positions, triangles[order], ends))
-    levels, groups = [finest], _Groups()
+    made = _Made()
+    made.add(np.split(triangles[order], ends[:-1]), _boxes(positions, triangles[order], ends), -1, 0.0, 0)
     simplify = simplifier() if coarser and len(triangles) >= SMALLEST else None
     if simplify is not None:
-        work = _Work(simplify, positions, normals, uvs, triangles, size, fixed)
-        while len(levels[-1].ends) > 1:
-            following = work.coarser(levels[-1], groups)
-            if following is None:
-                break
-            levels.append(following)
-    return _join(levels, groups)
+        _Work(simplify, positions, normals, uvs, triangles, size, fixed).coarsen(made)
+    return made.clusters()
 
 
 @dataclass(slots=True)
-class _Groups:
-    errors: list[float] = field(default_factory=list)
-    boxes: list[F64] = field(default_factory=list)
+class _Made:
+    """Clusters and groups while they are made."""
 
+    triangles: list[I64] = field(default_factory=list)
+    box: list[F64] = field(default_factory=list)
+    group: list[int] = field(default_factory=list)
+    next_group: list[int] = field(default_factory=list)
+    error: list[float] = field(default_factory=list)
+    level: list[int] = field(default_factory=list)
+    group_error: list[float] = field(default_factory=list)
+    group_box: list[F64] = field(default_factory=list)
 
-@dataclass(slots=True)
-class _Level:
-    triangles: I64
-    ends: I64
-    group: I64
-    error: F64
-    box: F64
-    next_group: I64 | None = None
+    def add(self, pieces: Sequence[I64], boxes: Sequence[F64] | F64, group: int, error: float, level: int) -> range:
+        """Adds clusters of one group and returns their numbers."""
+        first = len(self.triangles)
+        self.triangles += pieces
+        self.box += list(boxes)
+        self.group += [group] * len(pieces)
+        self.next_group += [-1] * len(pieces)
+        self.error += [error] * len(pieces)
+        self.level += [level] * len(pieces)
+        return range(first, len(self.triangles))
 
-
-def _join(levels: list[_Level], groups: _Groups) -> Clusters:
-    counts = np.cumsum([0, *(len(level.triangles) for level in levels)])
-    return Clusters(
-        triangles=np.concatenate([level.triangles for level in levels]),
-        ends=np.concatenate([level.ends + first for level, first in zip(levels, counts, strict=False)]),
-        level=np.repeat(np.arange(len(levels)), [len(level.ends) for level in levels]),
-        group=np.concatenate([level.group for level in levels]),
-        next_group=np.concatenate([np.full(len(v.ends), -1) if v.next_group is None else v.next_group for v in levels]),
-        group_error=np.array(groups.errors, dtype=np.float64),
-        group_box=np.array(groups.boxes, dtype=np.float64).reshape(-1, 6),
-    )
+    def clusters(self) -> Clusters:
+        return Clusters(
+            triangles=np.concatenate(self.triangles),
+            ends=np.cumsum([len(t) for t in self.triangles]),
+            level=np.array(self.level),
+            group=np.array(self.group),
+            next_group=np.array(self.next_group),
+            group_error=np.array(self.group_error, dtype=np.float64),
+            group_box=np.array(self.group_box, dtype=np.float64).reshape(-1, 6),
+        )
 
 
 class _Work:
@@ -161,49 +169,63 @@ class _Work:
         self._positions = np.ascontiguousarray(positions, dtype=np.float32)
         self._attributes = np.ascontiguousarray(np.hstack([normals, uvs]), dtype=np.float32)
         # Errors of attributes count in the unit of positions: uvs as the distance that the texture slides over the surface.
-        self._weights = np.array([NORMAL_WEIGHT_M] * 3 + [_metres_per_uv(positions, uvs, triangles)] * 2, dtype=np.float32)
-        self._weights /= max(float(np.ptp(positions, axis=0).max()), 1e-9)
+        self._weights = np.array([NORMAL_WEIGHT_M] * 3 + [SLIDE_WEIGHT * _metres_per_uv(positions, uvs, triangles)] * 2, dtype=np.float32)
         # Vertices of one place, told apart by their attributes, move together.
         self._place = places(self._positions)
         self._fixed = np.zeros(int(self._place.max()) + 1, dtype=bool)
         if fixed is not None:
             self._fixed[self._place[fixed]] = True
 
-    def coarser(self, level: _Level, groups: _Groups) -> _Level | None:
-        """Returns the level after ``level``, and notes in it what replaces its clusters; None if nothing got any coarser."""
-        clusters = np.repeat(np.arange(len(level.ends)), np.diff(level.ends, prepend=0))
-        centroids = self._positions[level.triangles].mean(axis=1, dtype=np.float64)
-        group_of = self._groups(level.triangles, clusters, _means(centroids, level.ends))
-        lock = self._locks(level.triangles, group_of[clusters])
-        starts = np.concatenate([[0], level.ends[:-1]])
-        order = np.argsort(group_of, kind="stable")
-        level.next_group = np.full(len(level.ends), -1)
-        pieces: list[I64] = []
-        ends: list[int] = []
-        made_by: list[int] = []
-        count = 0
-        for members in np.split(order, np.cumsum(np.bincount(group_of))[:-1]):
-            merged = np.concatenate([level.triangles[starts[c] : level.ends[c]] for c in members])
-            simple, error = self._simplify(merged, lock)
-            if len(simple) > REDUCTION * len(merged):
-                continue
-            level.next_group[members] = number = len(groups.errors)
-            groups.errors.append(max(error, float(level.error[members].max()), _LEAST_ERROR))
-            box = level.box[members]
-            groups.boxes.append(np.concatenate([box[:, :3].min(axis=0), box[:, 3:].max(axis=0)]))
-            if not len(simple):
-                continue
-            inside, inside_ends = split(self._positions[simple].mean(axis=1, dtype=np.float64), self._size)
-            pieces.append(simple[inside])
-            ends += (inside_ends + count).tolist()
-            made_by += [number] * len(inside_ends)
-            count += len(simple)
-        if not pieces:
-            return None
-        errors, boxes = np.array(groups.errors)[made_by], np.array(groups.boxes)[made_by]
-        return _Level(np.concatenate(pieces), np.array(ends), np.array(made_by), errors, boxes)
+    def coarsen(self, made: _Made) -> None:
+        """Makes coarser clusters until one is left, or an error is as large as the whole.
 
-    def _groups(self, triangles: I64, clusters: I64, centres: F64) -> I64:
+        Each level has an error that it may reach, larger by a constant factor than that of the level before. What cannot become
+        coarser within it stays, and is tried again at the next: flat things get few triangles long before round ones.
+        """
+        now = np.arange(len(made.triangles))
+        size = float(np.ptp(self._positions, axis=0).max())
+        # Where most triangles have no area, the median is 0.
+        allowed = max(FIRST_ERROR * _median_edge(self._positions, np.concatenate(made.triangles)), 1e-6 * size)
+        level = 1
+        while len(now) > 1 and allowed < size:
+            after = self._coarser(made, now, allowed, level)
+            # Where nothing happens, haste costs nothing.
+            allowed *= ERROR_STEP if len(after) < 0.98 * len(now) else ERROR_STEP**2
+            now = after
+            level += 1
+
+    def _coarser(self, made: _Made, now: I64, allowed: float, level: int) -> I64:
+        """Returns the numbers of the clusters that stand for all triangles once errors up to ``allowed`` metres are accepted."""
+        triangles = np.concatenate([made.triangles[c] for c in now])
+        sizes = np.array([len(made.triangles[c]) for c in now])
+        clusters = np.repeat(np.arange(len(now)), sizes)
+        centres = _means(self._positions[triangles].mean(axis=1, dtype=np.float64), np.cumsum(sizes))
+        group_of = self._groups(triangles, clusters, centres, sizes)
+        lock = self._locks(triangles, group_of[clusters])
+        order = np.argsort(group_of, kind="stable")
+        after: list[int] = []
+        for rows in np.split(order, np.cumsum(np.bincount(group_of))[:-1]):
+            members = now[rows].tolist()
+            merged = np.concatenate([made.triangles[c] for c in members])
+            simple, error = self._simplify(merged, lock, allowed)
+            if len(simple) > REDUCTION * len(merged):
+                after += members
+                continue
+            error = max(error, *(made.error[c] for c in members), _LEAST_ERROR)
+            boxes = np.array([made.box[c] for c in members])
+            box = np.concatenate([boxes[:, :3].min(axis=0), boxes[:, 3:].max(axis=0)])
+            number = len(made.group_error)
+            made.group_error.append(error)
+            made.group_box.append(box)
+            for c in members:
+                made.next_group[c] = number
+            if len(simple):
+                inside, ends = split(self._positions[simple].mean(axis=1, dtype=np.float64), self._size)
+                pieces = np.split(simple[inside], ends[:-1])
+                after += made.add(pieces, [box] * len(pieces), number, error, level)
+        return np.array(after, dtype=np.int64)
+
+    def _groups(self, triangles: I64, clusters: I64, centres: F64, sizes: I64) -> I64:
         """Returns the group of each cluster, (C,): those that share most vertices go together.
 
         What was kept along the border of an earlier group is denser than the rest, so it weighs most and is set free next.
@@ -219,8 +241,11 @@ class _Work:
         along = np.empty(count, dtype=np.int64)
         along[np.argsort(morton(centres), kind="stable")] = np.arange(count)
         group_of = np.arange(count)
-        for _ in range(GROUP.bit_length() - 1):
-            group_of = _matched(group_of, codes // count, codes % count, weights, along)
+        for _ in range(_ROUNDS):
+            open_ = np.bincount(group_of, weights=sizes) < GROUP * self._size / 2
+            if open_.sum() < 2:
+                break
+            group_of = _matched(group_of, codes // count, codes % count, weights, along, open_)
         return group_of
 
     def _locks(self, triangles: I64, groups: I64) -> NDArray[np.uint8]:
@@ -234,25 +259,27 @@ class _Work:
         locked: NDArray[np.bool_] = ((lowest < highest) & (highest >= 0)) | self._fixed
         return np.ascontiguousarray(locked[self._place], dtype=np.uint8)
 
-    def _simplify(self, triangles: I64, lock: NDArray[np.uint8]) -> tuple[I64, float]:
-        """Returns about half as many triangles, and the error, metres."""
+    def _simplify(self, triangles: I64, lock: NDArray[np.uint8], allowed: float) -> tuple[I64, float]:
+        """Returns as few triangles as an error of ``allowed`` metres lets it, and the error."""
         indices = np.ascontiguousarray(triangles.ravel(), dtype=np.uint32)
         out = np.empty_like(indices)
         error = ctypes.c_float(0.0)
         places, attributes = self._positions, self._attributes
+        # The simplifier scales what it is given to size 1, and takes weights in that unit.
+        weights = self._weights / np.float32(max(float(np.ptp(places[indices], axis=0).max()), 1e-9))
         count = self._function(
             out.ctypes.data, indices.ctypes.data, len(indices), places.ctypes.data, len(places), places.strides[0],
-            attributes.ctypes.data, attributes.strides[0], self._weights.ctypes.data, len(self._weights), lock.ctypes.data,
-            len(indices) // 6 * 3, 1e6, _SPARSE | _ERROR_ABSOLUTE, ctypes.addressof(error),
+            attributes.ctypes.data, attributes.strides[0], weights.ctypes.data, len(weights), lock.ctypes.data,
+            0, allowed, _SPARSE | _ERROR_ABSOLUTE, ctypes.addressof(error),
         )  # fmt: skip
         return out[:count].reshape(-1, 3).astype(np.int64), error.value
 
 
-def _matched(group_of: I64, a: I64, b: I64, weights: I64, along: I64) -> I64:
-    """Returns groups joined in pairs: the heaviest edges (a, b) between two groups first, what is left in the order ``along``."""
+def _matched(group_of: I64, a: I64, b: I64, weights: I64, along: I64, open_: NDArray[np.bool_]) -> I64:
+    """Returns open groups joined in pairs: the heaviest edges (a, b) between two of them first, what is left in the order ``along``."""
     first, second = np.minimum(group_of[a], group_of[b]), np.maximum(group_of[a], group_of[b])
     count = int(group_of.max()) + 1
-    apart = first < second
+    apart = (first < second) & open_[first] & open_[second]
     codes, inverse = np.unique(first[apart] * count + second[apart], return_inverse=True)
     sums = np.bincount(inverse, weights=weights[apart]).astype(np.int64)
     partner = np.full(count, -1)
@@ -262,13 +289,19 @@ def _matched(group_of: I64, a: I64, b: I64, weights: I64, along: I64) -> I64:
             partner[one], partner[other] = other, one
     place = np.full(count, np.iinfo(np.int64).max)
     np.minimum.at(place, group_of, along)
-    alone = np.flatnonzero(partner < 0)
+    alone = np.flatnonzero((partner < 0) & open_)
     alone = alone[np.argsort(place[alone], kind="stable")]
     for one, other in zip(alone[0::2].tolist(), alone[1::2].tolist(), strict=False):
         partner[one], partner[other] = other, one
     joined = np.minimum(np.arange(count), np.where(partner < 0, np.arange(count), partner))
     result: I64 = np.unique(joined, return_inverse=True)[1][group_of]
     return result
+
+
+def _median_edge(positions: F32, triangles: I64) -> float:
+    """Returns the median length of the edges, metres."""
+    a, b = positions[triangles[:, 0]].astype(np.float64), positions[triangles[:, 1]].astype(np.float64)
+    return float(np.median(np.linalg.norm(b - a, axis=1)))
 
 
 def _metres_per_uv(positions: F32, uvs: F32, triangles: I64) -> float:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gibson_sim.geometry.projections import clip_from_optical, frustum_planes
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.render import gl as GL
-from gibson_sim.render.batches import MATERIAL, VERTEX, Batch, Batches
+from gibson_sim.render.batches import MATERIAL, PLACEMENT, VERTEX, Batch, Batches
 from gibson_sim.render.context import GlContext
 from gibson_sim.render.dressing import Dressing
 from gibson_sim.render.lighting import Lighting
@@ -44,7 +44,8 @@ _ATTRIBUTES = (
     (3, 2, GL.FLOAT, 0, "uv"),
     (4, 1, GL.UNSIGNED_INT, None, "label"),
 )
-_ATTRIBUTE_LINK = 5
+_PLACED = ((5, "link"), (6, "label"), (7, "material"))
+"""Location and field of what is the same for a whole draw."""
 _OCCLUSION_FROM = 50_000
 """Fewer triangles than this are drawn without looking what is hidden."""
 _NEAR_PART = 0.25
@@ -83,9 +84,7 @@ class GlScene:
         cull: leave out what is outside the image; off only to check that nothing else changes.
     """
 
-    def __init__(
-        self, context: GlContext, batches: Batches, light: LightSpec, *, detail_px: float = 0.5, cull: bool = True
-    ) -> None:
+    def __init__(self, context: GlContext, batches: Batches, light: LightSpec, *, detail_px: float, cull: bool = True) -> None:
         self._context, self._gl = context, GL.Gl(context)
         self._batches, self._visibility = batches, Visibility(batches)
         self._detail_px, self._cull = detail_px, cull
@@ -114,8 +113,7 @@ class GlScene:
         self._vertices = self._buffer(b.vertices if len(b.vertices) else np.zeros(1, VERTEX))
         self._indices = self._buffer(b.indices if len(b.indices) else np.zeros(1, np.uint32))
         self._materials = self._buffer(b.materials if len(b.materials) else np.zeros(1, MATERIAL))
-        links = int(max(b.chunk_link.max(initial=0), b.group_link.max(initial=0))) + 1
-        self._link_numbers = self._buffer(np.arange(links, dtype=np.uint32))
+        self._placements = self._buffer(b.placements)
         self._links, self._links_before, self._views, self._command_buffer = (self._buffer(None) for _ in range(4))
         self._array = gl.create("glCreateVertexArrays")
         for location, numbers, kind, normalised, name in _ATTRIBUTES:
@@ -127,12 +125,13 @@ class GlScene:
             gl.glVertexArrayAttribBinding(self._array, location, 0)
             gl.glEnableVertexArrayAttrib(self._array, location)
         # One number for each instance, of which there is one in each draw: its base says which link the draw belongs to.
-        gl.glVertexArrayAttribIFormat(self._array, _ATTRIBUTE_LINK, 1, GL.UNSIGNED_INT, 0)
-        gl.glVertexArrayAttribBinding(self._array, _ATTRIBUTE_LINK, 1)
+        for location, name in _PLACED:
+            gl.glVertexArrayAttribIFormat(self._array, location, 1, GL.UNSIGNED_INT, PLACEMENT.fields[name][1])  # type: ignore[index]
+            gl.glVertexArrayAttribBinding(self._array, location, 1)
+            gl.glEnableVertexArrayAttrib(self._array, location)
         gl.glVertexArrayBindingDivisor(self._array, 1, 1)
-        gl.glEnableVertexArrayAttrib(self._array, _ATTRIBUTE_LINK)
         gl.glVertexArrayVertexBuffer(self._array, 0, self._vertices, 0, VERTEX.itemsize)
-        gl.glVertexArrayVertexBuffer(self._array, 1, self._link_numbers, 0, 4)
+        gl.glVertexArrayVertexBuffer(self._array, 1, self._placements, 0, PLACEMENT.itemsize)
         gl.glVertexArrayElementBuffer(self._array, self._indices)
         self.textures = [self._texture(t) for t in b.textures]
         self._looks = self._buffer(b.looks) if len(b.looks) else 0
@@ -234,7 +233,8 @@ class GlScene:
         plans = [self._plan(picture, views[k]) for k, picture in enumerate(pictures)]
         self._upload(self._views, views)
         self._bind()
-        if self._occlusion and sum(plan.triangles for plan in plans) >= _OCCLUSION_FROM:
+        # The depth of a pixel's middle says nothing about its other samples, and those of several samples cannot be read.
+        if self._occlusion and target.samples == 1 and sum(plan.triangles for plan in plans) >= _OCCLUSION_FROM:
             self._run(target, [self._commands(plan.near) for plan in plans], plans, color, last=False)
             depth = self._read_depth(target)
             late = [self._commands(self._not_hidden(plan, depth), plan.back if color else None) for plan in plans]
@@ -334,7 +334,7 @@ class GlScene:
         every = np.concatenate(pieces) if pieces else solid
         commands = np.zeros(len(every), dtype=_COMMAND)
         commands["count"], commands["first"] = b.chunk_count[every], b.chunk_first[every]
-        commands["instances"], commands["base_instance"] = 1, b.chunk_link[every]
+        commands["instances"], commands["base_instance"] = 1, b.chunk_placement[every]
         return _Commands(commands, runs)
 
     def _run(self, target: Target, commands: Sequence[_Commands], plans: Sequence[_Plan], color: bool, *, last: bool) -> None:

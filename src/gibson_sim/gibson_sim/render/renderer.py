@@ -30,7 +30,7 @@ from gibson_sim.scenes.mesh import MeshLoader
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.types import CameraSpec, Frame, SceneState
 
-DETAIL_PX = 0.5
+DETAIL_PX = 1.0
 """How far, pixels, levels of detail may put a surface from where it is, unless told otherwise."""
 
 
@@ -47,7 +47,8 @@ class Renderer:
         library: name of the EGL library.
         loader: returns the mesh of a shape; None = reads the files.
         allowed_roots: folders that meshes and textures must lie in; None = the folders above those of the meshes.
-        detail_px: how far, pixels, levels of detail may put a surface from where it is; 0 = draw every triangle.
+        detail_px: how far, pixels, levels of detail may put a surface from where it is, in scenes of 50,000 triangles and more; 0 =
+            draw every triangle.
         cull: leave out what is outside the image; off only to check that nothing else changes.
         cache: folder that keeps what loading has made, for the next start (``render.cache.default_folder()``); None = none. Not used
             with a ``loader``.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 
@@ -12,10 +13,11 @@ from gibson_sim.robots.spec import Shape
 from gibson_sim.scenes.mesh_types import F64, I64, Material, Mesh, MeshPart
 
 _Maker = Callable[[float, float, float], tuple[F64, F64, F64, I64]]
-SEGMENTS = 32
+SEGMENTS = 48
 """Corners of a circle."""
 
 
+@lru_cache(maxsize=256)
 def primitive_mesh(shape: Shape) -> Mesh:
     """Returns a box, sphere or cylinder (about z), centred at the origin, metres."""
     makers: dict[str, _Maker] = {"box": _box, "sphere": _sphere, "cylinder": _cylinder}

@@ -18,6 +18,8 @@ layout(std140, binding = 0) uniform View {
 
 #ifdef MOVING
 layout(location = 5) in uint in_link;
+layout(location = 6) in uint in_placed_label;     // is added to the label of the vertices
+layout(location = 7) in uint in_placed_material;  // likewise
 struct Link { vec4 x, y, z; };  // rows of T_world_link
 layout(std430, binding = 0) readonly buffer Links { Link links[]; };
 #ifdef FLOW
@@ -75,8 +77,14 @@ void main() {
     v_uv = in_uv;
 #ifdef NUMBERED
     v_material = in_material;
+#ifdef MOVING
+    v_material += in_placed_material;
+#endif
 #endif
 #ifdef LABELS
     v_label = in_label;
+#ifdef MOVING
+    v_label += in_placed_label;
+#endif
 #endif
 }

@@ -1,0 +1,31 @@
+"""The generated rooms as a small scene: every piece of furniture is a thing of its own."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from gibson_sim.geometry.transforms import pose_from_matrix
+from gibson_sim.render.batches import Loader
+from gibson_sim.robots.spec import Shape, VisualSpec
+from gibson_sim.scenes.generator.rooms import rooms_camera_path, rooms_parts
+from gibson_sim.scenes.mesh_types import Mesh
+from gibson_sim.scenes.primitives import primitive_mesh
+from gibson_sim.types import Pose
+
+TRIANGLES = 30_000
+
+
+@lru_cache(maxsize=1)
+def rooms() -> tuple[tuple[VisualSpec, ...], Loader]:
+    """Returns what is drawn, and what loads it."""
+    parts = rooms_parts(TRIANGLES, atlas=512)
+    meshes = {f"/{name}": Mesh((part,)) for name, (_, part) in parts.items()}
+    visuals = tuple(
+        VisualSpec(name, "", Shape("mesh", mesh=f"/{name}"), semantic_class=kind) for name, (kind, _) in parts.items()
+    )
+    return visuals, lambda shape: meshes[shape.mesh] if shape.kind == "mesh" else primitive_mesh(shape)
+
+
+def way(count: int) -> list[Pose]:
+    """Returns poses of an optical frame on a drive through all the rooms."""
+    return [pose_from_matrix(T) for T in rooms_camera_path(count)]

@@ -1,0 +1,136 @@
+"""A renderer draws the same from the cache as from the files."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from gibson_sim.render import cache, renderer as module
+from gibson_sim.render.renderer import Renderer
+from gibson_sim.robots.spec import Shape, VisualSpec
+from gibson_sim.scenes.mesh_types import Mesh
+from gibson_sim.scenes.spec import DrawnScene
+from gibson_sim.types import OUTPUTS, Frame
+from render.drawing import box, eye_at, loader_of, scene, state
+from support.surfaces import bumpy_sphere, detail_from
+
+pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
+
+CAMERA = eye_at((-2.0, 0.5, 0.7), look_at=(0.0, 0.0, 0.0), width=90, height=70, outputs=OUTPUTS)
+NOW, BEFORE = (state(("a",), [(0.0, y, 0.0)]) for y in (0.0, 0.1))
+
+
+@pytest.fixture
+def drawn(tmp_path: Path) -> DrawnScene:
+    """A bumpy ball with a texture, in a file, on a link; a box in the world, and something that is not there."""
+    part = bumpy_sphere(26)
+    folder = tmp_path / "models" / "ball"
+    folder.mkdir(parents=True)
+    image = np.random.default_rng(4).integers(0, 255, (16, 16, 3), dtype=np.uint8)
+    assert cv2.imwrite(str(folder / "noise.png"), image)
+    (folder / "ball.mtl").write_text("newmtl m\nmap_Kd noise.png\n")
+    lines = ["mtllib ball.mtl", "usemtl m", *(f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in part.vertices.tolist())]
+    lines += [f"vt {u:.6f} {v:.6f}" for u, v in part.uvs.tolist()]
+    lines += ["f " + " ".join(f"{k + 1}/{k + 1}" for k in triangle) for triangle in part.triangles.tolist()]
+    (folder / "ball.obj").write_text("\n".join(lines) + "\n")
+    ball = VisualSpec("ball", "a", Shape("mesh", mesh=str(folder / "ball.obj")), semantic_class="ball")
+    missing = VisualSpec("missing", "", Shape("mesh", mesh=str(folder / "missing.obj")))
+    return scene(ball, box((0.5, 1.2, 0.0)), missing, links=("a",))
+
+
+@pytest.fixture(autouse=True)
+def _small_scenes_are_worth_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cache, "SMALLEST", 1)
+
+
+def _draw(drawn: DrawnScene, folder: Path | None, **settings: float) -> tuple[Frame, tuple[str, ...], dict[str, object]]:
+    with Renderer(drawn, cache=folder, **settings) as renderer:
+        return renderer.render(NOW, [CAMERA], BEFORE)[0], renderer.warnings, renderer.info
+
+
+def test_pictures_warnings_and_numbers_are_the_same(drawn: DrawnScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plain, first = _draw(drawn, None), _draw(drawn, tmp_path / "cache")
+
+    def must_not_load(*args: object, **kwargs: object) -> None:
+        raise AssertionError("the scene was loaded from its files")
+
+    monkeypatch.setattr(module, "build_batches", must_not_load)
+    second = _draw(drawn, tmp_path / "cache")
+    for output in OUTPUTS:
+        for other in (plain, first):
+            np.testing.assert_array_equal(getattr(second[0], output), getattr(other[0], output), err_msg=output)
+    assert np.isfinite(second[0].depth).sum() > 500
+    assert second[1:] == first[1:] == plain[1:]
+    assert any("missing" in warning for warning in second[1])
+
+
+def test_a_mesh_that_changed_is_drawn_as_it_is_now(drawn: DrawnScene, tmp_path: Path) -> None:
+    before, _, _ = _draw(drawn, tmp_path / "cache")
+    mesh = Path(drawn.visuals[0].shape.mesh)
+    mesh.write_text("".join(f"{line}\n" for line in mesh.read_text().splitlines() if not line.startswith("f "))
+                    + "f 1/1 500/500 700/700\n")  # fmt: skip
+    after, _, _ = _draw(drawn, tmp_path / "cache")
+    expected, _, _ = _draw(drawn, None)
+    np.testing.assert_array_equal(after.depth, expected.depth)
+    assert not np.array_equal(after.depth, before.depth)
+
+
+def test_a_texture_that_changed_is_seen(drawn: DrawnScene, tmp_path: Path) -> None:
+    _draw(drawn, tmp_path / "cache")
+    red = np.zeros((16, 16, 3), dtype=np.uint8)
+    red[..., 2] = 255  # OpenCV's order is blue, green, red
+    assert cv2.imwrite(str(Path(drawn.visuals[0].shape.mesh).parent / "noise.png"), red)
+    frame, _, _ = _draw(drawn, tmp_path / "cache")
+    ball = frame.rgb[frame.instance == 1]
+    assert ball[:, 0].min() > 40
+    assert ball[:, 1:].max() < 5
+
+
+def test_a_mesh_that_turned_up_is_drawn(drawn: DrawnScene, tmp_path: Path) -> None:
+    _, warnings, info = _draw(drawn, tmp_path / "cache")
+    assert any("missing" in warning for warning in warnings)
+    ball = Path(drawn.visuals[0].shape.mesh)
+    (ball.parent / "missing.obj").write_text(ball.read_text())
+    _, warnings, more = _draw(drawn, tmp_path / "cache")
+    assert not any("missing" in warning for warning in warnings)
+    assert more["triangles"] > info["triangles"]
+
+
+def test_levels_of_detail_and_all_triangles_are_kept_apart(drawn: DrawnScene, tmp_path: Path) -> None:
+    with detail_from(1):
+        _, _, coarse = _draw(drawn, tmp_path / "cache")
+        _, _, fine = _draw(drawn, tmp_path / "cache", detail_px=0.0)
+    assert len(list((tmp_path / "cache").glob("*.scene"))) == 2
+    assert fine["chunks"] < coarse["chunks"] or cache.simplifier() is None
+
+
+def test_a_damaged_file_costs_a_warning_and_nothing_else(
+    drawn: DrawnScene, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    expected, _, _ = _draw(drawn, tmp_path / "cache")
+    (file,) = (tmp_path / "cache").glob("*.scene")
+    file.write_bytes(file.read_bytes()[:-1])
+    with caplog.at_level(logging.WARNING):
+        frame, _, _ = _draw(drawn, tmp_path / "cache")
+    assert str(file) in caplog.text
+    np.testing.assert_array_equal(frame.rgb, expected.rgb)
+    assert cache.SceneCache(tmp_path / "cache").load(file) is not None, "it was written anew"
+
+
+def test_without_a_cache_nothing_is_written(drawn: DrawnScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    before = sorted(tmp_path.rglob("*"))
+    _draw(drawn, None)
+    assert sorted(file for file in tmp_path.rglob("*") if ".cache/mesa" not in str(file)) == before
+
+
+def test_a_loader_of_ones_own_is_always_asked(tmp_path: Path, drawn: DrawnScene) -> None:
+    loader = loader_of(Mesh((bumpy_sphere(26),)))
+    with Renderer(drawn, loader=loader, cache=tmp_path / "cache"):
+        pass
+    assert not (tmp_path / "cache").exists()

@@ -1,0 +1,100 @@
+"""Leaving out what is hidden behind what is drawn already changes no bit of any output."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gibson_sim.render import gl_scene
+from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.target import Target
+from gibson_sim.types import OUTPUTS, CameraSpec, Frame, SceneState
+from render.drawing import BLUE, EYE, RED, box, scene, state
+from render.rooms import rooms, way
+
+pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
+
+PLAIN = [replace(EYE, name=f"eye {k}", pose=pose, width=120, height=90, outputs=OUTPUTS) for k, pose in enumerate(way(5))]
+NOW, BEFORE = (state(("a", "b"), [(1.0 + d, 1.6, 0.5), (5.0, 1.6 + d, 1.0)]) for d in (0.0, 0.05))
+
+
+@pytest.fixture(scope="module")
+def renderer(egl: None) -> Iterator[Renderer]:
+    """The rooms at their finest, with two moving boxes and a pane."""
+    visuals, loader = rooms()
+    moving = box((0.0, 0.0, 0.0), RED, link="a"), box((0.0, 0.0, 0.0), BLUE, link="b")
+    pane = box((3.0, 1.6, 1.0), (0.2, 0.4, 0.9, 0.4), (0.02, 2.0, 2.0))
+    drawn = scene(*visuals, pane, *moving, links=("a", "b"))
+    with Renderer(drawn, loader=loader, detail_px=0.0) as one:
+        yield one
+
+
+@pytest.fixture(autouse=True)
+def _few_triangles_are_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gl_scene, "_OCCLUSION_FROM", 1)
+
+
+def _drawn(renderer: Renderer, cameras: list[CameraSpec], occlusion: bool, now: SceneState = NOW) -> tuple[list[Frame], int]:
+    assert renderer._scene is not None
+    renderer._scene._occlusion = occlusion
+    frames = renderer.render(now, cameras, BEFORE)
+    return frames, renderer._scene.drawn_triangles
+
+
+def _assert_equal(some: list[Frame], others: list[Frame]) -> None:
+    for a, b in zip(some, others, strict=True):
+        for field in fields(Frame):
+            if isinstance(getattr(a, field.name), np.ndarray):
+                np.testing.assert_array_equal(getattr(a, field.name), getattr(b, field.name), err_msg=field.name)
+
+
+def test_a_picture_is_the_same_for_fewer_triangles(renderer: Renderer) -> None:
+    fewer = all_of_them = 0
+    for camera in PLAIN:
+        (with_it, some), (without, every) = (_drawn(renderer, [camera], on) for on in (True, False))
+        _assert_equal(with_it, without)
+        assert np.isfinite(without[0].depth).mean() > 0.9
+        fewer, all_of_them = fewer + some, all_of_them + every
+    assert 0 < fewer < 0.8 * all_of_them
+
+
+def test_pictures_side_by_side_hide_nothing_of_each_other(renderer: Renderer) -> None:
+    cameras = [replace(camera, width=60 + 20 * k, height=90 - 10 * k) for k, camera in enumerate(PLAIN)]
+    (with_it, fewer), (without, all_of_them) = (_drawn(renderer, cameras, on) for on in (True, False))
+    _assert_equal(with_it, without)
+    assert fewer < 0.9 * all_of_them
+
+
+@pytest.mark.parametrize("change", [{"samples": 4}, {"projection": "fisheye"}, {"projection": "equirectangular", "samples": 4}])
+def test_smooth_and_bent_pictures_are_the_same(renderer: Renderer, change: dict[str, object]) -> None:
+    cameras = [replace(camera, **change) for camera in PLAIN[:3]]
+    _assert_equal(*(_drawn(renderer, cameras, on)[0] for on in (True, False)))
+
+
+def test_the_middles_of_pixels_do_not_decide_about_their_other_samples(
+    renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = gl_scene.GlScene._read_depth
+
+    def all_hidden_if_smooth(self: gl_scene.GlScene, target: Target) -> NDArray[np.float32]:
+        return read(self, target) if target.samples == 1 else np.ones((target.height, target.width), dtype=np.float32)
+
+    # OpenGL does not read the depths of several samples: what memory held before would decide.
+    monkeypatch.setattr(gl_scene.GlScene, "_read_depth", all_hidden_if_smooth)
+    smooth = [replace(camera, samples=4) for camera in PLAIN]
+    _assert_equal(*(_drawn(renderer, smooth, on)[0] for on in (True, False)))
+
+
+def test_what_moves_out_from_behind_a_wall_is_seen_at_once(renderer: Renderer) -> None:
+    for x in (1.0, 2.0, 2.6, 3.2):
+        now = state(("a", "b"), [(x, 1.6, 0.5), (7.0 - x, 1.6, 1.0)])
+        _assert_equal(*(_drawn(renderer, PLAIN[:2], on, now)[0] for on in (True, False)))
+
+
+def test_scenes_of_few_triangles_do_not_look(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gl_scene, "_OCCLUSION_FROM", 10**9)
+    assert _drawn(renderer, PLAIN[:1], True)[1] == _drawn(renderer, PLAIN[:1], False)[1]

@@ -1,0 +1,130 @@
+"""What is called hidden cannot be seen, whatever the depth image, the box and the pose."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+from numpy.typing import NDArray
+
+from gibson_sim.geometry.transforms import matrix_from_quat
+from gibson_sim.render.occlusion import DepthPyramid, hidden
+
+NEAR = 0.05
+K = np.array([[40.0, 1.5, 24.2], [0.0, 43.0, 15.7], [0.0, 0.0, 1.0]])
+"""Of an image of 50 x 33 pixels."""
+WIDTH, HEIGHT = 50, 33
+CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
+
+
+def _whole(*numbers: int) -> tuple[NDArray[np.int64], ...]:
+    return tuple(np.array([n]) for n in numbers)
+
+
+@given(st.integers(1, 37), st.integers(1, 37), st.integers(0, 2**32 - 1))
+def test_the_bound_of_a_rectangle_is_below_all_its_values_and_is_one_of_those_around_it(
+    width: int, height: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    depth = rng.random((height, width)).astype(np.float32)
+    pyramid = DepthPyramid(depth)
+    for _ in range(8):
+        x0, x1 = np.sort(rng.integers(0, width, 2)).tolist()
+        y0, y1 = np.sort(rng.integers(0, height, 2)).tolist()
+        bound = float(pyramid.least(*_whole(x0, y0, x1, y1))[0])
+        # At most two squares a side, each less than twice as wide as the rectangle: no farther than this.
+        reach = 2 * max(x1 - x0, y1 - y0, 1)
+        around = depth[max(y0 - reach, 0) : y1 + reach + 1, max(x0 - reach, 0) : x1 + reach + 1]
+        assert around.min() <= bound <= depth[y0 : y1 + 1, x0 : x1 + 1].min()
+
+
+def test_a_single_pixel_is_its_own_bound() -> None:
+    depth = np.random.default_rng(1).random((7, 5)).astype(np.float32)
+    y, x = (g.ravel() for g in np.mgrid[:7, :5])
+    np.testing.assert_array_equal(DepthPyramid(depth).least(x, y, x, y), depth.ravel())
+
+
+def _pose(rng: np.random.Generator) -> NDArray[np.float64]:
+    T = np.eye(4)
+    quat = rng.normal(size=4)
+    T[:3, :3] = matrix_from_quat(quat / np.linalg.norm(quat))
+    T[:3, 3] = rng.uniform(-1.5, 1.5, 3)
+    return T
+
+
+def _blocks(rng: np.random.Generator) -> NDArray[np.float32]:
+    """A depth image of rectangles at several depths, with nothing in places."""
+    depth = np.full((HEIGHT, WIDTH), NEAR / rng.uniform(1.0, 6.0), dtype=np.float32)
+    for _ in range(rng.integers(0, 4)):
+        x, y = rng.integers(0, WIDTH), rng.integers(0, HEIGHT)
+        depth[y : y + rng.integers(1, 20), x : x + rng.integers(1, 25)] = rng.choice([0.0, NEAR / rng.uniform(0.2, 6.0)])
+    return depth
+
+
+def _seen(depth: NDArray[np.float32], box: NDArray[np.float64], T: NDArray[np.float64]) -> bool:
+    """Whether any ray through a pixel's middle meets the box nearer than the depth there."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    rays = np.stack([u, v, np.ones(u.shape)], axis=-1) @ np.linalg.inv(K).T
+    way, eye = rays @ T[:3, :3], -T[:3, :3].T @ T[:3, 3]  # in the frame of the box
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = (box[:3] - box[3:] - eye) / way, (box[:3] + box[3:] - eye) / way
+        enter, leave = np.minimum(a, b).max(axis=-1), np.maximum(a, b).min(axis=-1)
+        first = np.maximum(enter, NEAR)
+        return bool(((first <= leave) & (NEAR / first > depth)).any())
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 2**32 - 1))
+def test_a_box_that_a_pixel_would_show_is_never_called_hidden(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    depth, T = _blocks(rng), _pose(rng)
+    boxes = np.concatenate([rng.uniform(-4, 4, (40, 3)), rng.uniform(0.01, 1.0, (40, 3)) ** 2], axis=1)
+    for box, covered in zip(boxes, hidden(DepthPyramid(depth), boxes, T, K, NEAR), strict=True):
+        assert not (covered and _seen(depth, box, T))
+
+
+def test_most_of_what_cannot_be_seen_is_found() -> None:
+    # Else "never hidden" would pass the test above.
+    rng = np.random.default_rng(5)
+    found, unseen = 0, 0
+    for _ in range(20):
+        depth, T = _blocks(rng), _pose(rng)
+        boxes = np.concatenate([rng.uniform(-4, 4, (40, 3)), np.full((40, 3), 0.1)], axis=1)
+        ahead = (boxes[:, :3] @ T[:3, :3].T + T[:3, 3])[:, 2] > 0.5
+        covered = hidden(DepthPyramid(depth), boxes, T, K, NEAR)[ahead]
+        found += covered.sum()
+        unseen += sum(not _seen(depth, box, T) for box in boxes[ahead])
+    assert unseen > 200
+    assert found > 0.9 * unseen
+
+
+@pytest.mark.parametrize(
+    ("centre", "expected"),
+    [
+        ((0.0, 0.0, 3.0), True),  # 2.9 m away, behind the wall
+        ((0.0, 0.0, 2.05), False),  # it sticks out of the wall
+        ((0.0, 0.0, 1.0), False),  # before it
+        ((0.0, 0.0, -1.0), False),  # behind the camera: the frustum's business
+        ((0.0, 0.0, 0.1), False),  # around the near plane
+        ((60.0, 0.0, 3.0), True),  # beside the image
+    ],
+)
+def test_a_wall_hides_what_is_behind_it(centre: tuple[float, float, float], expected: bool) -> None:
+    wall = np.full((HEIGHT, WIDTH), NEAR / 2.0, dtype=np.float32)
+    box = np.array([[*centre, 0.1, 0.1, 0.1]])
+    assert hidden(DepthPyramid(wall), box, np.eye(4), K, NEAR).tolist() == [expected]
+
+
+def test_one_open_pixel_shows_what_is_behind_the_wall() -> None:
+    wall = np.full((HEIGHT, WIDTH), NEAR / 2.0, dtype=np.float32)
+    box = np.array([[0.0, 0.0, 4.0, 0.1, 0.1, 0.1]])
+    wall[16, 24] = 0.0  # (0, 0, z) is at (24.2, 15.7)
+    assert not hidden(DepthPyramid(wall), box, np.eye(4), K, NEAR)[0]
+
+
+def test_each_box_may_have_a_pose_of_its_own() -> None:
+    wall = np.full((HEIGHT, WIDTH), NEAR / 2.0, dtype=np.float32)
+    T = np.stack([np.eye(4)] * 2)
+    T[0, 2, 3], T[1, 2, 3] = 3.0, 1.0
+    boxes = np.array([[0.0, 0.0, 0.0, 0.1, 0.1, 0.1]] * 2)
+    assert hidden(DepthPyramid(wall), boxes, T, K, NEAR).tolist() == [True, False]
