@@ -138,6 +138,9 @@ class RenderConfig:
     egl_device: int = setting(
         -1, "EGL device, as listed by `gibson-sim doctor`; -1 = a GPU if there is one, else software", minimum=-1, maximum=255
     )
+    egl_uuid: str = setting(
+        "", "UUID of the GPU that draws, as `gibson-sim doctor` shows it, or the beginning of it; empty = as `egl_device` says"
+    )
     egl_library: str = setting("libEGL.so.1", "Library that offers EGL: a file name for the loader, or a path")
     cameras: str = setting("", "Names of the cameras to draw, separated by commas; empty = all of the scene")
     detail_px: float = setting(
@@ -147,6 +150,7 @@ class RenderConfig:
         minimum=0.0,
         maximum=16.0,
     )
+    compress_textures: bool = setting(False, "Keep textures compressed (S3TC): an eighth of the memory, a little less exact")
     cache: str = setting(
         "", "Folder that keeps loaded scenes for the next start; empty = ~/.cache/gibson-sim/scenes, none = keep nothing"
     )

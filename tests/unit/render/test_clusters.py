@@ -231,8 +231,8 @@ def test_a_bent_texture_on_a_flat_surface_counts_as_an_error() -> None:
     x, y, _ = flat.vertices.T
     bent = np.stack([x / 4 + 0.5 + 0.05 * np.sin(6 * y) * np.sin(6 * x), y / 4 + 0.5], axis=1).astype(np.float32)
     built = _built(MeshPart(flat.vertices, flat.normals, bent, flat.triangles))
-    # The texture is 4 m wide, so 0.05 of it is 20 cm: coarse triangles slide it by centimetres.
-    assert built.group_error.max() > 0.01
+    # The texture is 4 m wide, so 0.05 of it is 20 cm: coarse triangles slide it by centimetres, which count SLIDE_WEIGHT times.
+    assert built.group_error.max() > 0.005
 
 
 def test_without_a_simplifier_there_is_one_level_with_everything(monkeypatch: pytest.MonkeyPatch) -> None:

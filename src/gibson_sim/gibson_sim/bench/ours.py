@@ -51,9 +51,7 @@ class GibsonSim:
     def draw(self, pose: Matrix) -> Frame:
         """Draws one image with all of its outputs."""
         c = self._camera
-        camera = CameraSpec(
-            c.name, c.link, _pose(pose), c.width, c.height, c.fov_y, near=c.near, far=c.far, outputs=c.outputs
-        )
+        camera = CameraSpec(c.name, c.link, _pose(pose), c.width, c.height, c.fov_y, near=c.near, far=c.far, outputs=c.outputs)
         return self._renderer.render(_STATE, [camera])[0]
 
     def picture(self, drawn: Frame) -> tuple[bytes, int, int]:
@@ -63,7 +61,8 @@ class GibsonSim:
 
     def triangles(self) -> int:
         """Returns how many triangles the last image took."""
-        return self._renderer.drawn_triangles if hasattr(self._renderer, "drawn_triangles") else 0
+        scene = self._renderer._scene
+        return 0 if scene is None else scene.drawn_triangles
 
 
 def _pose(matrix: Sequence[float]) -> Pose:

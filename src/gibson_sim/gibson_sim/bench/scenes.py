@@ -149,7 +149,11 @@ def _export(name: str, file: Path, folder: Path) -> None:
     part = mesh.parts[0]
     if len(mesh.parts) != 1 or part.uvs is None or part.material.texture is None:
         raise SceneError(f"{name}: has {len(mesh.parts)} materials; the peers draw scenes of one mesh with one texture")
-    cv2.imwrite(str(folder / "atlas.png"), np.ascontiguousarray(part.material.texture.pixels[:, :, 2::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    cv2.imwrite(
+        str(folder / "atlas.png"),
+        np.ascontiguousarray(part.material.texture.pixels[:, :, 2::-1]),
+        [cv2.IMWRITE_PNG_COMPRESSION, 1],
+    )
     (folder / "mesh.mtl").write_text("newmtl atlas\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd atlas.png\n", encoding="utf-8")
     with (folder / "mesh.obj").open("w", encoding="utf-8") as obj:
         obj.write("mtllib mesh.mtl\nusemtl atlas\n")

@@ -8,16 +8,15 @@ from __future__ import annotations
 import ctypes
 import importlib.util
 import math
-import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from datetime import datetime, timezone
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.bench import timing
 from gibson_sim.geometry.transforms import Mat4, quat_from_matrix
 from gibson_sim.render import gl as GL
 from gibson_sim.render.context import GlContext
@@ -101,15 +100,15 @@ def measure(
     with Renderer(scene, device=device, loader=_loader(mesh)) as renderer:
         for name, size, views, outputs, call, finish in _cases(renderer):
             rates = _rates(call, finish, _cameras(size, views, outputs, blocks * calls), blocks, calls)
-            low, middle, high = (float(np.percentile(rates, p)) * views for p in (5, 50, 95))
-            cases.append(Case(name, size, views, outputs, round(middle, 1), round(low, 1), round(high, 1)))
+            found = timing.spread([rate * views for rate in rates])
+            cases.append(Case(name, size, views, outputs, *(round(rate, 1) for rate in (found.median, found.p5, found.p95))))
             if progress is not None:
                 progress(cases[-1])
         info = renderer.info
         tensors_on = renderer.tensors_on
     return Report(
-        date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        machine=f"{platform.machine()}, {_cpu()}, {platform.system()} {platform.release()}",
+        date=timing.now(),
+        machine=timing.machine(),
         renderer=str(info["renderer"]),
         driver=str(info["version"]),
         tensors_on=tensors_on,
@@ -256,15 +255,6 @@ def _pose(T_world_camera: Mat4) -> Pose:
 
 def _loader(mesh: Mesh) -> Callable[[Shape], Mesh]:
     return lambda shape: mesh
-
-
-def _cpu() -> str:
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as lines:
-            names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    except OSError:
-        names = []
-    return f"{len(names)} x {names[0]}" if names else platform.processor() or "unknown CPU"
 
 
 def _torch_version() -> str:

@@ -49,18 +49,24 @@ class Worker:
         module: is run with ``python -m`` and calls ``serve``.
         python: the interpreter; "" = this one.
         environment: variables on top of ours.
+
+    Raises:
+        WorkerError: the interpreter cannot be run.
     """
 
     def __init__(self, module: str, python: str = "", environment: Mapping[str, str] | None = None) -> None:
         root = str(Path(__file__).resolve().parents[2])
         path = os.pathsep.join(p for p in (root, os.environ.get("PYTHONPATH", "") if not python else "") if p)
-        self._process = subprocess.Popen(
-            [python or sys.executable, "-m", module],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, **(environment or {}), "PYTHONPATH": path},
-        )
+        try:
+            self._process = subprocess.Popen(
+                [python or sys.executable, "-m", module],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                env={**os.environ, **(environment or {}), "PYTHONPATH": path},
+            )
+        except OSError as error:
+            raise WorkerError(f"{python or sys.executable} cannot be run: {error.strerror}") from error
 
     def ask(self, command: str, **values: Any) -> Any:
         """Returns the answer to a command.
@@ -127,12 +133,16 @@ def serve(engines: Mapping[str, Callable[..., Engine]]) -> None:
     os._exit(0)
 
 
-def _obey(engine: Engine, command: str, width: int, height: int, fov_y: float, outputs: Sequence[str], poses: list[Matrix]) -> Any:
+def _obey(
+    engine: Engine, command: str, width: int, height: int, fov_y: float, outputs: Sequence[str], poses: list[Matrix]
+) -> Any:
     engine.prepare(width, height, fov_y, tuple(outputs))
     if command == "picture":
         return engine.picture(engine.draw(poses[0]))
     assert command == "frames"
     seconds, triangles = [], []
+    # Somebody else has just had the processor and its caches.
+    engine.draw(poses[0])
     for pose in poses:
         started = time.perf_counter()
         drawn = engine.draw(pose)

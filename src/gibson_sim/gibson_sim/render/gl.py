@@ -63,6 +63,9 @@ _PROTOTYPES: dict[str, tuple[Any, ...]] = {
     "glReadBuffer": (None, _U),
     "glReadPixels": (None, _I, _I, _I, _I, _U, _U, _P),
     "glScissor": (None, _I, _I, _I, _I),
+    "glTexImage2D": (None, _U, _I, _I, _I, _I, _I, _U, _U, _P),
+    "glBindTexture": (None, _U, _U),
+    "glGetTextureLevelParameteriv": (None, _U, _I, _U, _P),
     "glTextureParameteri": (None, _U, _U, _I),
     "glTextureStorage2D": (None, _U, _I, _U, _I, _I),
     "glTextureStorage3D": (None, _U, _I, _U, _I, _I, _I),
@@ -90,6 +93,8 @@ GREATER, ALWAYS, SRC_ALPHA, ONE_MINUS_SRC_ALPHA, LOWER_LEFT, ZERO_TO_ONE = 0x020
 COLOR, DEPTH, COLOR_BUFFER_BIT, NEAREST, LINEAR, LINEAR_MIPMAP_LINEAR = 0x1800, 0x1801, 0x4000, 0x2600, 0x2601, 0x2703
 RGB, RGBA, RG, RG_INTEGER, DEPTH_COMPONENT = 0x1907, 0x1908, 0x8227, 0x8228, 0x1902
 RGBA8UI, RGBA16UI, RG32UI = 0x8D7C, 0x8D76, 0x823C
+COMPRESSED_SRGB_S3TC_DXT1, COMPRESSED_SRGB_ALPHA_S3TC_DXT5 = 0x8C4C, 0x8C4F
+TEXTURE_COMPRESSED_IMAGE_SIZE = 0x86A0
 SRGB8_ALPHA8, DEPTH_COMPONENT32F, RG16UI, RGBA16, RG32F = 0x8C43, 0x8CAC, 0x823A, 0x805B, 0x8230
 READ_FRAMEBUFFER, MAX_SHADER_STORAGE_BLOCK_SIZE = 0x8CA8, 0x90DE
 FRAMEBUFFER, COLOR_ATTACHMENT0, DEPTH_ATTACHMENT, FRAMEBUFFER_COMPLETE = 0x8D40, 0x8CE0, 0x8D00, 0x8CD5

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from gibson_sim.render.occlusion import DepthPyramid, hidden
 from gibson_sim.render.screen_pass import shader_text
 from gibson_sim.render.shadows import SunShadow
 from gibson_sim.render.target import ATTACHMENT, Feature, Target
+from gibson_sim.render.textures import upload_texture
 from gibson_sim.render.visibility import Detail, Visibility, link_frames
 from gibson_sim.scenes.mesh_types import TextureSource
 from gibson_sim.scenes.spec import LightSpec
@@ -81,13 +81,23 @@ class GlScene:
         batches: what.
         light: how surfaces are lit, and the background.
         detail_px: how far, pixels, levels of detail may put a surface from where it is; 0 = always draw all triangles.
+        compress: keep textures compressed.
         cull: leave out what is outside the image; off only to check that nothing else changes.
     """
 
-    def __init__(self, context: GlContext, batches: Batches, light: LightSpec, *, detail_px: float, cull: bool = True) -> None:
+    def __init__(
+        self,
+        context: GlContext,
+        batches: Batches,
+        light: LightSpec,
+        *,
+        detail_px: float,
+        compress: bool = False,
+        cull: bool = True,
+    ) -> None:
         self._context, self._gl = context, GL.Gl(context)
         self._batches, self._visibility = batches, Visibility(batches)
-        self._detail_px, self._cull = detail_px, cull
+        self._detail_px, self._compress, self._cull = detail_px, compress, cull
         self._occlusion = cull and context.device.software
         self._blend = np.array([b.kind == "blend" for b in batches.batches], dtype=bool)[self._visibility.batch_of]
         self._programs: dict[tuple[str, ...], moderngl.Program] = {}
@@ -155,24 +165,8 @@ class GlScene:
         self._gl.glNamedBufferData(buffer, data.nbytes, data.ctypes.data, GL.STREAM_DRAW)
 
     def _texture(self, source: TextureSource) -> int:
-        gl, pixels = self._gl, source.pixels
-        height, width = pixels.shape[:2]
-        shrink = gl.integer(GL.MAX_TEXTURE_SIZE) / max(height, width)
-        if shrink < 1.0:
-            width, height = max(1, int(width * shrink)), max(1, int(height * shrink))
-            pixels = np.asarray(cv2.resize(pixels, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        pixels = np.ascontiguousarray(pixels)
-        texture = gl.create("glCreateTextures", GL.TEXTURE_2D)
-        levels = max(width, height).bit_length()
-        gl.glTextureStorage2D(texture, levels, GL.SRGB8_ALPHA8, width, height)
-        gl.glPixelStorei(GL.UNPACK_ALIGNMENT, 1)
-        # Row 0 goes where t = 0 is, so v counts downwards from the top row, as MeshPart has it.
-        form = GL.RGB if pixels.shape[2] == 3 else GL.RGBA
-        gl.glTextureSubImage2D(texture, 0, 0, 0, width, height, form, GL.UNSIGNED_BYTE, pixels.ctypes.data)
-        gl.glGenerateTextureMipmap(texture)
-        gl.glTextureParameteri(texture, GL.TEXTURE_MIN_FILTER, GL.LINEAR_MIPMAP_LINEAR)
-        gl.glTextureParameteri(texture, GL.TEXTURE_MAG_FILTER, GL.LINEAR)
-        self.texture_bytes += width * height * 4 * 4 // 3
+        texture, size = upload_texture(self._gl, source.pixels, compress=self._compress)
+        self.texture_bytes += size
         return texture
 
     def _program(self, batch: Batch, features: tuple[Feature, ...], *, color: bool = True) -> moderngl.Program:

@@ -49,6 +49,8 @@ class Renderer:
         allowed_roots: folders that meshes and textures must lie in; None = the folders above those of the meshes.
         detail_px: how far, pixels, levels of detail may put a surface from where it is, in scenes of 50,000 triangles and more; 0 =
             draw every triangle.
+        compress_textures: keep the textures of materials compressed (S3TC): an eighth of the memory, a quarter with alpha; colours are
+            a little off.
         cull: leave out what is outside the image; off only to check that nothing else changes.
         cache: folder that keeps what loading has made, for the next start (``render.cache.default_folder()``); None = none. Not used
             with a ``loader``.
@@ -67,6 +69,7 @@ class Renderer:
         loader: Loader | None = None,
         allowed_roots: Sequence[Path] | None = None,
         detail_px: float = DETAIL_PX,
+        compress_textures: bool = False,
         cull: bool = True,
         cache: Path | None = None,
         progress: Progress | None = None,
@@ -83,7 +86,7 @@ class Renderer:
         try:
             self._context = open_context(device, library=library)
             batches = _loaded(scene, loader, allowed_roots, detail_px > 0.0, cache, progress)
-            self._scene = GlScene(self._context, batches, scene.light, detail_px=detail_px, cull=cull)
+            self._scene = GlScene(self._context, batches, scene.light, detail_px=detail_px, compress=compress_textures, cull=cull)
             self._readback = Readback(self._context)
             self._pixel_buffers = PixelBuffers(self._context)
             self._drawing = Drawing(self._context, self._scene)

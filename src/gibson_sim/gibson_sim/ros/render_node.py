@@ -72,8 +72,8 @@ class RenderNode(Node):
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     @property
-    def _device(self) -> int | None:
-        return None if self._config.egl_device < 0 else self._config.egl_device
+    def _device(self) -> int | str | None:
+        return self._config.egl_uuid or (None if self._config.egl_device < 0 else self._config.egl_device)
 
     @property
     def _cache_folder(self) -> Path | None:
@@ -102,6 +102,7 @@ class RenderNode(Node):
             device=self._device,
             library=self._config.egl_library,
             detail_px=self._config.detail_px,
+            compress_textures=self._config.compress_textures,
             cache=self._cache_folder,
             progress=_Progress(self.get_logger().info),
         )

@@ -1,0 +1,128 @@
+"""``gibson-sim bench``: measurements that anyone can repeat."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from gibson_sim.cli import bench_tensors
+from gibson_sim.errors import ConfigError
+from gibson_sim.types import OUTPUTS
+
+_SCENES = "rooms:100k,rooms:500k,rooms:1m"
+_SIZES = "256x256,640x480,1024x1024"
+_OUTPUTS = ("rgb", "rgb,depth", "rgb,depth,semantic,instance,normal")
+
+
+def add_parser(subparsers: Any) -> None:
+    """Adds the sub-command."""
+    parser = subparsers.add_parser("bench", help="measure how fast this machine draws")
+    kinds = parser.add_subparsers(dest="kind", required=True, metavar="WHAT")
+    _add_render(kinds)
+    bench_tensors.add_parser(kinds)
+
+
+def _add_render(kinds: Any) -> None:
+    parser = kinds.add_parser("render", help="images a second by scene, size and outputs; with --peers against other renderers")
+    parser.add_argument(
+        "--scenes",
+        nargs="+",
+        default=[_SCENES],
+        metavar="SCENE",
+        help=f"rooms:N for generated rooms of N triangles, or names, folders or files of scenes (default: {_SCENES})",
+    )
+    parser.add_argument("--sizes", nargs="+", default=[_SIZES], metavar="WxH", help=f"of images, pixels (default: {_SIZES})")
+    parser.add_argument(
+        "--outputs",
+        nargs="+",
+        default=list(_OUTPUTS),
+        metavar="A,B",
+        help=f"sets of outputs, each measured (default: {' '.join(_OUTPUTS)})",
+    )
+    parser.add_argument("--frames", type=int, default=60, help="images of each case (default: 60)")
+    parser.add_argument(
+        "--detail-px",
+        default="0.5",
+        metavar="PX",
+        help="levels of detail; several, such as 0.5,0, are measured each (default: 0.5)",
+    )
+    parser.add_argument("--peers", action="store_true", help="also MuJoCo, pyrender and PyBullet, where they are installed")
+    parser.add_argument("--peer-python", default="", metavar="PATH", help="interpreter that has the peers (default: this one)")
+    parser.add_argument("--pictures", type=Path, metavar="DIR", help="write the first image of every contestant there")
+    parser.add_argument("--growth", action="store_true", help="also print how time grows from the smallest rooms to the largest")
+    parser.add_argument(
+        "--device", help="EGL device: its number or UUID, as `gibson-sim doctor` lists them (default: a GPU if there is one)"
+    )
+    parser.add_argument("--json", "--out", dest="json", type=Path, metavar="FILE", help="JSON file to write")
+    parser.add_argument("--markdown", action="store_true", help="print Markdown")
+    parser.set_defaults(run=run_render)
+
+
+def run_render(args: argparse.Namespace) -> int:
+    """Prints a table, and writes the JSON file if one is named."""
+    plan = plan_of(args)
+    from gibson_sim.bench.render import measure
+    from gibson_sim.bench.render_report import report_text
+
+    report = measure(plan, tell=lambda line: print(line, file=sys.stderr, flush=True))
+    print(report_text(report, markdown=args.markdown, show_growth=args.growth))
+    if args.json is not None:
+        args.json.parent.mkdir(parents=True, exist_ok=True)
+        args.json.write_text(json.dumps(report.as_json(), indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+def plan_of(args: argparse.Namespace) -> Any:
+    """Returns the ``Plan`` that the options describe.
+
+    Raises:
+        ConfigError: one of them cannot be read.
+    """
+    from gibson_sim.bench.render import Plan
+
+    if args.frames < 1:
+        raise ConfigError(f"--frames is {args.frames}, must be 1 or more")
+    device = int(args.device) if args.device is not None and args.device.isdigit() else args.device
+    return Plan(
+        scenes=tuple(_words(args.scenes)),
+        sizes=tuple(_size(text) for text in _words(args.sizes)),
+        outputs=tuple(_outputs(text) for text in args.outputs),
+        frames=args.frames,
+        detail_px=tuple(_number("--detail-px", text) for text in _words([args.detail_px])),
+        device=device,
+        peers=args.peers,
+        peer_python=args.peer_python,
+        pictures=args.pictures,
+    )
+
+
+def _words(texts: list[str]) -> list[str]:
+    return [word for text in texts for word in text.split(",") if word]
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise ConfigError(f"--sizes: {text!r} is no size of an image; write 640x480")
+    return int(width), int(height)
+
+
+def _outputs(text: str) -> tuple[Any, ...]:
+    names = tuple(_words([text]))
+    unknown = [name for name in names if name not in OUTPUTS]
+    if unknown or not names:
+        raise ConfigError(f"--outputs: {text!r} must be one or more of {', '.join(OUTPUTS)}, joined by commas")
+    return names
+
+
+def _number(option: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value < float("inf"):
+        raise ConfigError(f"{option}: {text!r} must be a number, 0 or more")
+    return value
