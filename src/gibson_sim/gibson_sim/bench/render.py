@@ -150,7 +150,7 @@ def measure(plan: Plan, tell: Callable[[str], None] = lambda line: None) -> Repo
     Raises:
         GibsonSimError: a scene cannot be loaded, or our own renderer fails. A peer that fails is left out.
     """
-    load = timing.load()
+    date, version, load = timing.now(), timing.version(), timing.load()
     rows: list[Row] = []
     infos: dict[str, dict[str, str]] = {}
     left_out: list[str] = []
@@ -173,8 +173,8 @@ def measure(plan: Plan, tell: Callable[[str], None] = lambda line: None) -> Repo
                     rows.append(Row(scene.name, triangles, width, height, case.outputs, case.contestant, fps, p5, p95, typical))
                     tell(f"{scene.name} {width}x{height} {case.contestant} {'+'.join(case.outputs)}: {fps:.1f} fps")
     return Report(
-        date=timing.now(),
-        version=timing.version(),
+        date=date,
+        version=version,
         machine=timing.machine(),
         cores=timing.cores(),
         load=load,
