@@ -63,7 +63,7 @@ def pairs(request: pytest.FixtureRequest, egl: None) -> list[Pair]:
     ):
         for camera in CASES[request.param][1]:
             frames = [renderer.render(state(), [camera])[0] for renderer in (coarse, fine)]
-            counts = [renderer._scene.drawn_triangles for renderer in (coarse, fine)]
+            counts = [renderer.drawn_triangles for renderer in (coarse, fine)]
             pairs.append((*frames, *counts))
     return pairs
 
@@ -124,7 +124,7 @@ def test_normals_stay_within_a_few_degrees(pairs: list[Pair]) -> None:
 def _triangles(renderer: Renderer, camera: CameraSpec) -> int:
     renderer.render(state(), [camera])
     assert renderer._scene is not None
-    return renderer._scene.drawn_triangles
+    return renderer.drawn_triangles
 
 
 def test_the_farther_away_the_fewer_triangles() -> None:
@@ -154,7 +154,7 @@ def test_levels_of_detail_follow_a_link() -> None:
         counts = []
         for x in (2.0, 12.0):
             renderer.render(state(["robot/base"], [(x, 0.0, 0.0)]), [replace(EYE, width=240, height=180)])
-            counts.append(renderer._scene.drawn_triangles)
+            counts.append(renderer.drawn_triangles)
     assert counts[0] > 2 * counts[1] > 0
 
 

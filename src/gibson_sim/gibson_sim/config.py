@@ -59,6 +59,10 @@ def check_settings(settings: Settings) -> None:
             raise ConfigError(f"{what} is {value!r}, must be one of {', '.join(f.metadata['choices'])}")
 
 
+DETAIL_PX = 1.0
+"""How far, pixels, levels of detail may put a surface from where it is, unless told otherwise."""
+
+
 @dataclass(frozen=True, slots=True)
 class PhysicsConfig:
     """Settings of the physics node."""
@@ -144,7 +148,7 @@ class RenderConfig:
     egl_library: str = setting("libEGL.so.1", "Library that offers EGL: a file name for the loader, or a path")
     cameras: str = setting("", "Names of the cameras to draw, separated by commas; empty = all of the scene")
     detail_px: float = setting(
-        1.0,
+        DETAIL_PX,
         "How far levels of detail may put a surface from where it is, in scenes of 50,000 triangles and more; 0 = draw every triangle",
         unit="px",
         minimum=0.0,

@@ -61,8 +61,7 @@ class GibsonSim:
 
     def triangles(self) -> int:
         """Returns how many triangles the last image took."""
-        scene = self._renderer._scene
-        return 0 if scene is None else scene.drawn_triangles
+        return self._renderer.drawn_triangles
 
 
 def _pose(matrix: Sequence[float]) -> Pose:

@@ -20,6 +20,7 @@ from gibson_sim.bench import timing
 from gibson_sim.bench.scenes import BenchScene, bench_scene, camera_path, export_for_peers, problem
 from gibson_sim.bench.timing import FIVE, rates_of
 from gibson_sim.bench.workers import Worker, WorkerError
+from gibson_sim.config import DETAIL_PX
 from gibson_sim.errors import GibsonSimError, RenderError
 from gibson_sim.types import Output
 
@@ -62,7 +63,7 @@ class Plan:
     outputs: tuple[tuple[Output, ...], ...] = OUTPUT_SETS
     frames: int = 60
     """Images of each case. A sixth as many are drawn before, and one at the beginning of each turn, that do not count."""
-    detail_px: tuple[float, ...] = (0.5,)
+    detail_px: tuple[float, ...] = (DETAIL_PX,)
     """Each value is a contestant."""
     device: int | str | None = None
     peers: bool = False

@@ -54,7 +54,7 @@ def now() -> str:
 
 def machine() -> str:
     """Returns architecture, processor and system."""
-    return f"{platform.machine()}, {cpu()}, {platform.system()} {platform.release()}"
+    return f"{platform.machine()}, {cpu()}, {platform.system()}"
 
 
 def cpu() -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.cli import bench_tensors
+from gibson_sim.config import DETAIL_PX
 from gibson_sim.errors import ConfigError
 from gibson_sim.types import OUTPUTS
 
@@ -45,9 +46,9 @@ def _add_render(kinds: Any) -> None:
     parser.add_argument("--frames", type=int, default=60, help="images of each case (default: 60)")
     parser.add_argument(
         "--detail-px",
-        default="0.5",
+        default=f"{DETAIL_PX:g}",
         metavar="PX",
-        help="levels of detail; several, such as 0.5,0, are measured each (default: 0.5)",
+        help=f"levels of detail; several, such as 1,0, are measured each (default: {DETAIL_PX:g})",
     )
     parser.add_argument("--peers", action="store_true", help="also MuJoCo, pyrender and PyBullet, where they are installed")
     parser.add_argument("--peer-python", default="", metavar="PATH", help="interpreter that has the peers (default: this one)")

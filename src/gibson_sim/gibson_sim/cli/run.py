@@ -56,7 +56,9 @@ def add_parser(subparsers: Any) -> None:
             "randomise_seed",
         ),
     )
-    add_settings(parser, RenderConfig, ("egl_device", "egl_uuid", "egl_library", "cameras", "detail_px", "compress_textures", "cache"))
+    add_settings(
+        parser, RenderConfig, ("egl_device", "egl_uuid", "egl_library", "cameras", "detail_px", "compress_textures", "cache")
+    )
     parser.add_argument("--no-render", action="store_true", help="physics alone, no images")
     drive = parser.add_argument_group("drive")
     add_settings(drive, DriveConfig, ("drive", "length", "linear", "angular", "stamped"))

@@ -169,7 +169,9 @@ class _Work:
         self._positions = np.ascontiguousarray(positions, dtype=np.float32)
         self._attributes = np.ascontiguousarray(np.hstack([normals, uvs]), dtype=np.float32)
         # Errors of attributes count in the unit of positions: uvs as the distance that the texture slides over the surface.
-        self._weights = np.array([NORMAL_WEIGHT_M] * 3 + [SLIDE_WEIGHT * _metres_per_uv(positions, uvs, triangles)] * 2, dtype=np.float32)
+        self._weights = np.array(
+            [NORMAL_WEIGHT_M] * 3 + [SLIDE_WEIGHT * _metres_per_uv(positions, uvs, triangles)] * 2, dtype=np.float32
+        )
         # Vertices of one place, told apart by their attributes, move together.
         self._place = places(self._positions)
         self._fixed = np.zeros(int(self._place.max()) + 1, dtype=bool)

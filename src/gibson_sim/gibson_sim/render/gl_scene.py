@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import moderngl
@@ -46,6 +47,7 @@ _ATTRIBUTES = (
 )
 _PLACED = ((5, "link"), (6, "label"), (7, "material"))
 """Location and field of what is the same for a whole draw."""
+_NOTHING, _UNKNOWN = np.zeros(4, dtype=np.float32), np.full(4, np.nan, dtype=np.float32)
 _OCCLUSION_FROM = 50_000
 """Fewer triangles than this are drawn without looking what is hidden."""
 _NEAR_PART = 0.25
@@ -276,30 +278,28 @@ class GlScene:
         gl.glDepthFunc(GL.GREATER)
         gl.glFrontFace(GL.CLOCKWISE)  # the flip of the picture turns them round
         gl.glDepthMask(1)
-        nothing = np.zeros(4, dtype=np.float32)
-        unknown = np.full(4, np.nan, dtype=np.float32)
-        gl.glClearBufferfv(GL.DEPTH, 0, nothing.ctypes.data)
+        gl.glClearBufferfv(GL.DEPTH, 0, _NOTHING.ctypes.data)
         assert self._lighting is not None
         gl.glClearBufferfv(GL.COLOR, 0, self._lighting.background.ctypes.data)
         for feature in features:
             clear = gl.glClearBufferuiv if feature == "LABELS" else gl.glClearBufferfv
-            clear(GL.COLOR, ATTACHMENT[feature], (unknown if feature == "FLOW" else nothing).ctypes.data)
+            clear(GL.COLOR, ATTACHMENT[feature], (_UNKNOWN if feature == "FLOW" else _NOTHING).ctypes.data)
 
     def _plan(self, picture: Picture, view: NDArray[np.void]) -> _Plan:
         """Chooses what to draw of one picture, and fills its ``view``."""
         T_camera_links, eyes = link_frames(picture.T_world_camera, self._T_world_links)
         # The flip: optical y points down and clip y points up, so row 0 of the image comes first in OpenGL's bottom-up memory.
-        projection = clip_from_optical(picture.intrinsics, picture.width, picture.height, picture.near)
+        projection, planes = _lens(picture.intrinsics.tobytes(), picture.width, picture.height, picture.near)
         before = picture.T_world_camera if picture.T_world_camera_before is None else picture.T_world_camera_before
         view["clip"] = (projection @ T_camera_links[0]).T
-        view["clip_before"] = (projection @ link_frames(before, self._T_world_links[:1])[0][0]).T
+        still = before is picture.T_world_camera
+        view["clip_before"] = view["clip"] if still else (projection @ link_frames(before, self._T_world_links[:1])[0][0]).T
         view["optical"][:3, :3] = picture.T_world_camera[:3, :3]  # transposed once to turn, once to be by columns
         view["eye"][:3] = eyes[0]
         view["size"][:3] = picture.width, picture.height, picture.near
         focal = float(max(abs(picture.intrinsics[0, 0]), abs(picture.intrinsics[1, 1])))
         chunks = self._visibility.choose(eyes, Detail(focal, self._detail_px, picture.near))
         if self._cull:
-            planes = frustum_planes(picture.intrinsics, picture.width, picture.height, picture.near)
             chunks = chunks[self._visibility.inside(chunks, planes, T_camera_links)]
         b = self._batches
         distance = self._visibility.distances(chunks, eyes)
@@ -456,6 +456,13 @@ class GlScene:
             self._array = 0
         for program in programs.values():
             program.release()
+
+
+@lru_cache(maxsize=256)
+def _lens(intrinsics: bytes, width: int, height: int, near: float) -> tuple[F64, F64]:
+    """Returns the projection, (4, 4), and the planes of the frustum, (5, 4), of K, the bytes of (3, 3) float64."""
+    k = np.frombuffer(intrinsics, dtype=np.float64).reshape(3, 3)
+    return clip_from_optical(k, width, height, near), frustum_planes(k, width, height, near)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

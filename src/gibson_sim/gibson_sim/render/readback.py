@@ -132,7 +132,9 @@ def _depth(raw: F32, camera: CameraSpec) -> F32:
 
 def _normals(raw: NDArray[np.uint16]) -> F32:
     """Returns unit normals, 0 = nothing."""
-    normals = np.multiply(cv2.cvtColor(raw, cv2.COLOR_RGBA2RGB), UNIT, dtype=np.float32)
+    # One conversion, then arithmetic in place: half the time of a multiplication that converts.
+    normals = cv2.cvtColor(raw, cv2.COLOR_RGBA2RGB).astype(np.float32)
+    normals *= UNIT
     normals -= np.float32(1.0)
     if not raw[:, :, 3].all():
         normals[raw[:, :, 3] == 0] = 0.0

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.config import DETAIL_PX
 from gibson_sim.errors import ConfigError, RenderError, SceneMismatchError
 from gibson_sim.geometry.exposures import Exposure, exposures
 from gibson_sim.geometry.transforms import Mat4, matrices_from_poses, matrix_from_pose
@@ -29,9 +30,6 @@ from gibson_sim.render.tiles import arrange
 from gibson_sim.scenes.mesh import MeshLoader
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.types import CameraSpec, Frame, SceneState
-
-DETAIL_PX = 1.0
-"""How far, pixels, levels of detail may put a surface from where it is, unless told otherwise."""
 
 
 class Renderer:
@@ -152,6 +150,11 @@ class Renderer:
         return [frames[k] for k in range(len(cameras))]
 
     @property
+    def drawn_triangles(self) -> int:
+        """How many triangles the last picture took, or the last pictures that were drawn side by side."""
+        return 0 if self._scene is None else self._scene.drawn_triangles
+
+    @property
     def tensors_on(self) -> str:
         """Where ``render_tensors`` puts its tensors, as PyTorch names it: ``cuda:0``, or ``cpu``."""
         return self._tensors_of_context().device
@@ -203,7 +206,9 @@ class Renderer:
         assert self._scene is not None
         assert self._drawing is not None
         self._scene.set_links(T_world_links, before)
-        self._drawing.draw(target, shots, [self._camera_matrix(shot.camera, before) for shot in shots])
+        still = before is T_world_links
+        poses = [shot.T_world_camera if still else self._camera_matrix(shot.camera, before) for shot in shots]
+        self._drawing.draw(target, shots, poses)
 
     def _develop(self, target: Target, shot: Shot, plan: Sequence[Exposure], before: NDArray[np.float64]) -> None:
         """Finishes an image in its place: draws it, if that takes several exposures, and applies the effects on colours."""
