@@ -1,11 +1,11 @@
 """Levels of detail: cuts triangles into clusters, and makes coarser clusters that may stand in for several finer ones.
 
 The scheme is that of Karis, Stubbe and Wihlidal, "Nanite: A Deep Dive" (SIGGRAPH 2021 course): neighbouring clusters form a group; the
-group is simplified to half its triangles while the vertices that it shares with other groups stay where they are; the result is
-cut into clusters again, and so on with other groups, so that borders that were kept at one level vanish at the next. Each cluster knows
-its error, and that of the coarser ones in its place, with a box about all that they replace. A renderer draws a cluster if its
-own error is small enough on the image and that of its replacement is not: a test that needs nothing but the cluster, and that
-neighbours pass or fail together, so that no cracks open. The simplifier is meshoptimizer's. No OpenGL here.
+group is simplified while the vertices that it shares with other groups stay where they are; the result is cut into clusters again, and
+so on with other groups, so that borders that were kept at one level vanish at the next. Each group knows its error, and a box about all
+that it replaces. A renderer draws a cluster if the error of the group that made it is small enough on the image and that of the group
+that replaces it is not. Neighbours pass or fail together, so no cracks open: an error never is less, nor its box smaller, than those of
+the groups it was made from. The simplifier is meshoptimizer's. No OpenGL here.
 """
 
 from __future__ import annotations
