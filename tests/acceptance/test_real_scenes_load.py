@@ -118,7 +118,8 @@ def test_living_room_has_7_models_and_its_size(living_room: SceneSpec) -> None:
     }  # fmt: skip
     low, high = _bounds(living_room)
     np.testing.assert_allclose(high - low, [6.05, 6.19, 3.22], atol=0.05)
-    assert living_room.warnings == ()
+    # The data came without the normal map of the table.
+    assert [w for w in living_room.warnings if "texture wood_table_worn_nor_gl_1k.png is missing" not in w] == []
     assert living_room.floor_z == pytest.approx(0.0, abs=0.02)
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
@@ -64,6 +65,10 @@ def run_node(make: Callable[[], Any], args: list[str] | None = None) -> None:
         code = node.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except RCLError:
+        # A signal ends the context at once, also in the middle of a callback that is about to publish.
+        if rclpy.ok():
+            raise
     except GibsonSimError as error:
         print(f"error: {error}", file=sys.stderr)
         code = 1

@@ -84,12 +84,12 @@ class DaeMaterials:
             found = parameter.findtext("sampler2D/source") or parameter.findtext("surface/init_from")
             name = (image.get("url", "").lstrip("#") if image is not None else found or "").strip()
         if name not in self._images:
-            self.warn(f"{self.path}: image {name!r} is not in the file; the surface gets its base colour")
+            self.warn(f"{self.path}: image {name!r} is not in the file; the surface is drawn without it")
             return None
         init = self._images[name].find("init_from")
         uri = "" if init is None else (init.text or init.findtext("ref") or "").strip()
         if not uri:
-            self.warn(f"{self.path}: image {name!r} names no file; the surface gets its base colour")
+            self.warn(f"{self.path}: image {name!r} names no file; the surface is drawn without it")
             return None
         return self.textures.from_uri(uri, self.path, self.files, self.warn)
 

@@ -319,7 +319,7 @@ class _Reader:
         texture = self._item("textures", index)
         source = texture.get("extensions", {}).get("EXT_texture_webp", {}).get("source", texture.get("source"))
         if source is None:
-            self.warn(f"{self.path}: texture {index} has a format that cannot be read; the surface gets its base colour")
+            self.warn(f"{self.path}: texture {index} has a format that cannot be read; the surface is drawn without it")
             return None
         if source not in self._images:
             self._images[source] = self._image(source)

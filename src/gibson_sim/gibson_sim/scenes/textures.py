@@ -57,10 +57,10 @@ class TextureStore:
         wanted = local_path(uri, mesh.parent)
         path = wanted if wanted.is_file() else (self._nearby(wanted, mesh) if search else None)
         if not is_inside(path or wanted, self.roots):
-            warn(f"{mesh}: texture {uri!r} lies outside the scene's folder; it is not read, the surface gets its base colour")
+            warn(f"{mesh}: texture {uri!r} lies outside the scene's folder; it is not read, the surface is drawn without it")
             return None
         if path is None:
-            warn(f"{mesh}: texture {wanted.name} is missing (looked at {wanted}); the surface gets its base colour")
+            warn(f"{mesh}: texture {wanted.name} is missing (looked at {wanted}); the surface is drawn without it")
             return None
         if path != wanted and path.name.lower() != wanted.name.lower():
             warn(f"{mesh}: texture {wanted.name} is missing; used {path.name}, the only image beside the mesh")
@@ -73,7 +73,7 @@ class TextureStore:
             pixels = decode_image(path.read_bytes())
             self._by_file[path] = None if pixels is None else TextureSource(str(path), pixels)
         if self._by_file[path] is None:
-            warn(f"{mesh}: texture {path.name} cannot be decoded ({path}); the surface gets its base colour")
+            warn(f"{mesh}: texture {path.name} cannot be decoded ({path}); the surface is drawn without it")
         return self._by_file[path]
 
     def from_bytes(self, name: str, data: bytes, warn: Warn) -> TextureSource | None:
@@ -82,7 +82,7 @@ class TextureStore:
             return None
         pixels = decode_image(data)
         if pixels is None:
-            warn(f"{name} cannot be decoded ({len(data)} bytes); the surface gets its base colour")
+            warn(f"{name} cannot be decoded ({len(data)} bytes); the surface is drawn without it")
             return None
         return TextureSource(name, pixels)
 
