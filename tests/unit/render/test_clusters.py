@@ -244,6 +244,13 @@ def test_without_a_simplifier_there_is_one_level_with_everything(monkeypatch: py
         assert batches.chunk_count[chosen].sum() == 3 * 2 * 40**2
 
 
+def test_a_large_scene_without_a_simplifier_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gibson_sim.render.batches.simplifier", lambda: None)
+    (warning,) = batches_of(Mesh((bumpy_grid(40),))).warnings
+    assert "3200 triangles" in warning
+    assert "pip install meshoptimizer" in warning
+
+
 @needs_simplifier
 def test_triangles_without_area_do_not_keep_it_busy_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
     simplify = module.simplifier()

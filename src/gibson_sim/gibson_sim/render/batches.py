@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
-from gibson_sim.render.clusters import build_clusters, places
+from gibson_sim.render.clusters import build_clusters, places, simplifier
 from gibson_sim.robots.spec import Look, Shape, VisualSpec
 from gibson_sim.scenes.looks import apply_look, is_drawn, pattern_colors, pattern_pictures, tint_matrix
 from gibson_sim.scenes.mesh_types import MATTE_ROUGHNESS, Material, Mesh, MeshPart, TextureSource
@@ -334,6 +334,8 @@ class _Joiner:
         looked_rows = np.array([bool(look) for _, look in table.rows], dtype=bool)
         total = sum(len(t) for pile in piles.values() for t in pile.triangles)
         self._coarser &= total >= DETAIL_FROM
+        if self._coarser and simplifier() is None:
+            warnings += (f"{total} triangles are drawn without levels of detail, slowly: install meshoptimizer (pip install meshoptimizer)",)
         shared = _shared_places(piles) if self._coarser else {}
         batches: list[Batch] = []
         for key in sorted(piles):
