@@ -335,7 +335,9 @@ class _Joiner:
         total = sum(len(t) for pile in piles.values() for t in pile.triangles)
         self._coarser &= total >= DETAIL_FROM
         if self._coarser and simplifier() is None:
-            warnings += (f"{total} triangles are drawn without levels of detail, slowly: install meshoptimizer (pip install meshoptimizer)",)
+            warnings += (
+                f"{total} triangles are drawn without levels of detail, slowly: install meshoptimizer (pip install meshoptimizer)",
+            )
         shared = _shared_places(piles) if self._coarser else {}
         batches: list[Batch] = []
         for key in sorted(piles):
