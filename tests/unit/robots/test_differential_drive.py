@@ -14,7 +14,7 @@ from gibson_sim.robots.differential_drive import (
     limit_velocity,
     wheel_speeds,
 )
-from gibson_sim.robots.spec import DriveSpec
+from gibson_sim.robots.drive_spec import DriveSpec
 from gibson_sim.types import VelocityCommand
 
 DRIVE = DriveSpec(

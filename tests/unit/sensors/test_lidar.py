@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.robots.spec import LidarSpec
+from gibson_sim.robots.sensor_specs import LidarSpec
 from gibson_sim.sensors.lidar import measure_scan, ranges_from_distances, ray_directions, world_rays
 from gibson_sim.types import SceneState
 

@@ -9,7 +9,7 @@ import math
 from typing import NamedTuple
 
 from gibson_sim.geometry.transforms import wrap_angle
-from gibson_sim.robots.spec import DriveSpec
+from gibson_sim.robots.drive_spec import DriveSpec
 from gibson_sim.types import Odometry, VelocityCommand
 
 

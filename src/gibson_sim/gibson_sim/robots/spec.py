@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Literal
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.robots.drive_spec import DriveSpec
+from gibson_sim.robots.sensor_specs import LidarSpec
 from gibson_sim.types import CameraSpec, Pose, Rgba, Vec3
 
 ShapeKind = Literal["mesh", "box", "sphere", "cylinder"]
@@ -93,65 +95,6 @@ class VisualSpec:
     """Class name; empty = unlabelled."""
     look: Look | None = None
     """Changes to the materials; None = none."""
-
-
-@dataclass(frozen=True, slots=True)
-class DriveSpec:
-    """A differential drive: two wheels on one axle, driven by velocity."""
-
-    left_joint: str
-    right_joint: str
-    wheel_radius: float
-    """Metres."""
-    wheel_separation: float
-    """Metres between the contact points of the wheels."""
-    max_linear: float = 0.5
-    """m/s."""
-    max_angular: float = 2.0
-    """rad/s."""
-    max_linear_acceleration: float = 1.0
-    """m/s^2, speeding up and slowing down."""
-    max_angular_acceleration: float = 4.0
-    """rad/s^2."""
-    max_wheel_torque: float = 10.0
-    """N m."""
-    left_sign: float = 1.0
-    """+1 when a positive turn of the left joint rolls the robot forward, -1 when its axis points the other way."""
-    right_sign: float = 1.0
-
-    def __post_init__(self) -> None:
-        for name in (
-            "wheel_radius", "wheel_separation", "max_linear", "max_angular",
-            "max_linear_acceleration", "max_angular_acceleration", "max_wheel_torque",
-        ):  # fmt: skip
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise ConfigError(f"drive: {name} is {value!r}, must be a finite number above 0")
-
-
-@dataclass(frozen=True, slots=True)
-class LidarSpec:
-    """A planar lidar: one turn of evenly spaced rays, the first along the link's x axis, counter-clockwise."""
-
-    link: str
-    """``<body>/<link>``; the rays leave from the origin of this link."""
-    beams: int = 360
-    range_min: float = 0.12
-    """Metres; nearer returns are reported as -inf (REP 117)."""
-    range_max: float = 12.0
-    """Metres; no return nearer than this is reported as +inf (REP 117)."""
-    rate_hz: float = 10.0
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.beams <= 100_000:
-            raise ConfigError(f"lidar on {self.link!r}: beams is {self.beams}, must be 1 to 100000")
-        if not 0.0 <= self.range_min < self.range_max:
-            raise ConfigError(
-                f"lidar on {self.link!r}: range_min is {self.range_min:g} and range_max {self.range_max:g}, "
-                "must be 0 <= range_min < range_max"
-            )
-        if not 0.0 < self.rate_hz <= 1000.0:
-            raise ConfigError(f"lidar on {self.link!r}: rate_hz is {self.rate_hz:g}, must be in (0, 1000]")
 
 
 @dataclass(frozen=True, slots=True)

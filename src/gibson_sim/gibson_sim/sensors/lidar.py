@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.geometry.transforms import matrix_from_quat
-from gibson_sim.robots.spec import LidarSpec
+from gibson_sim.robots.sensor_specs import LidarSpec
 from gibson_sim.types import SceneState
 
 CastRays = Callable[[NDArray[np.float64], NDArray[np.float64], float, "str | None"], NDArray[np.float64]]

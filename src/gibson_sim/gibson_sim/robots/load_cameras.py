@@ -1,0 +1,128 @@
+"""Reads the ``cameras`` section of a ``robot.yaml``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+from typing import Any, cast
+
+import numpy as np
+
+from gibson_sim.errors import RobotError
+from gibson_sim.geometry.transforms import R_LINK_OPTICAL, Mat4, matrix_from_pose, pose_from_matrix, pose_from_xyz_rpy
+from gibson_sim.robots.settings import NAME, Settings
+from gibson_sim.robots.urdf import UrdfModel
+from gibson_sim.types import DEFAULT_OUTPUTS, DISTORTIONS, OUTPUTS, CameraSpec, DepthNoise, ImageEffects, Pose, Projection
+
+_OPTICS_KEYS = ("projection", "k", "fov_y_deg", "fov_deg", "distortion_model", "d")
+_CAMERA_KEYS = (
+    "name", "link", "pose", "width", "height", *_OPTICS_KEYS, "rate_hz", "near", "far", "outputs", "samples", "stereo_baseline",
+    "effects", "depth_noise",
+)  # fmt: skip
+_MATRIX_KEYS = ("fx", "fy", "cx", "cy", "skew")
+_POSE_KEYS = ("xyz", "rpy_deg")
+
+
+def read_cameras(robot: Settings, model: UrdfModel, name: str) -> tuple[CameraSpec, ...]:
+    """Returns the cameras of the robot ``name``, in the order of the file."""
+    entries = robot.values.get("cameras") or []
+    if not isinstance(entries, list):
+        raise RobotError(f"{robot.where}: cameras must be a list, is {type(entries).__name__}")
+    cameras = tuple(_camera(Settings(entry, f"{robot.where}: cameras[{i}]"), model, name) for i, entry in enumerate(entries))
+    names = [camera.name for camera in cameras]
+    if len(set(names)) != len(names):
+        raise RobotError(f"{robot.where}: cameras are named {', '.join(names)}; names must differ")
+    return cameras
+
+
+def _camera(settings: Settings, model: UrdfModel, name: str) -> CameraSpec:
+    settings.check_keys(_CAMERA_KEYS)
+    camera_name = settings.text("name")
+    if not NAME.fullmatch(camera_name):
+        raise RobotError(f"{settings.where}: name is {camera_name!r}; use letters, digits and _, a letter first")
+    link = model.link(settings.text("link")).name
+    values: dict[str, Any] = {
+        **settings.integers(("width", "height", "samples")),
+        **settings.numbers(("near", "far", "rate_hz", "stereo_baseline")),
+        **_optics(settings),
+    }
+    for key, kind in (("effects", ImageEffects), ("depth_noise", DepthNoise)):
+        if (section := settings.section(key)) is not None:
+            values[key] = _plain(section, kind)
+    outputs = settings.values.get("outputs", list(DEFAULT_OUTPUTS))
+    if not isinstance(outputs, list) or not all(isinstance(item, str) for item in outputs):
+        raise RobotError(f"{settings.where}: outputs is {outputs!r}, must be a list of {', '.join(OUTPUTS)}")
+    pose = _camera_pose(settings, link)
+    return CameraSpec(name=camera_name, link=f"{name}/{link}", pose=pose, outputs=tuple(outputs), **values)
+
+
+def _optics(settings: Settings) -> dict[str, Any]:
+    """Returns the fields of ``CameraSpec`` that say where a direction is in the image."""
+    projection = cast(Projection, settings.text("projection", "pinhole"))
+    if projection not in DISTORTIONS:
+        raise RobotError(f"{settings.where}: projection is {projection!r}, must be one of {', '.join(DISTORTIONS)}")
+    out: dict[str, Any] = {"projection": projection}
+    # Angles of another kind of camera would be ignored: say so instead.
+    for key, field, owner in (("fov_y_deg", "fov_y", "pinhole"), ("fov_deg", "fov", "fisheye")):
+        if key in settings.values:
+            if projection != owner:
+                other = {"pinhole": "a pinhole camera has fov_y_deg", "fisheye": "a fisheye has fov_deg"}.get(projection, "")
+                raise RobotError(f"{settings.where}: {key} is for a {owner} camera; {other or 'an equirectangular one sees all'}")
+            out[field] = math.radians(settings.number(key))
+    if "k" in settings.values:
+        if "fov_y_deg" in settings.values:
+            raise RobotError(f"{settings.where}: k and fov_y_deg both say how wide the image is; leave one out")
+        out["matrix"] = _matrix(settings)
+    if ("d" in settings.values) != ("distortion_model" in settings.values):
+        raise RobotError(f"{settings.where}: d and distortion_model belong together; give both, as in a camera_info")
+    if "d" in settings.values:
+        d, model, models = settings.floats("d"), settings.text("distortion_model"), DISTORTIONS[projection]
+        if model not in models:
+            known = " or ".join(models) or "none at all"
+            raise RobotError(f"{settings.where}: distortion_model is {model!r}, that of a {projection} camera must be {known}")
+        if len(d) not in models[model]:
+            counts = " or ".join(map(str, models[model]))
+            raise RobotError(f"{settings.where}: d has {len(d)} numbers, {model} has {counts}")
+        out["distortion"] = d
+    return out
+
+
+def _matrix(settings: Settings) -> tuple[float, ...]:
+    """Returns K from nine numbers by rows, or from a mapping of focal lengths and principal point."""
+    if isinstance(settings.values["k"], list):
+        return settings.floats("k")
+    section = settings.section("k")
+    if section is None:
+        raise RobotError(f"{settings.where}: k is empty, must be nine numbers, or fx, fy, cx, cy and, if any, skew")
+    section.check_keys(_MATRIX_KEYS)
+    given = section.numbers(_MATRIX_KEYS)
+    missing = [key for key in _MATRIX_KEYS[:4] if key not in given]
+    if missing:
+        raise RobotError(f"{section.where}: {', '.join(missing)} is missing; give fx, fy, cx and cy, pixels")
+    return (given["fx"], given.get("skew", 0.0), given["cx"], 0.0, given["fy"], given["cy"], 0.0, 0.0, 1.0)
+
+
+def _plain(section: Settings, kind: type[ImageEffects] | type[DepthNoise]) -> ImageEffects | DepthNoise:
+    """Returns a value all of whose fields are numbers, those named in the file."""
+    whole = tuple(f.name for f in fields(kind) if isinstance(f.default, int))
+    names = tuple(f.name for f in fields(kind))
+    section.check_keys(names)
+    return kind(**section.integers(whole), **section.numbers(tuple(n for n in names if n not in whole)))  # type: ignore[arg-type]
+
+
+def _camera_pose(settings: Settings, link: str) -> Pose:
+    """Returns T_link_optical. REP 103: a link whose name holds ``_optical`` has optical axes already."""
+    place = settings.section("pose")
+    if "_optical" in link:
+        if place is not None:
+            raise RobotError(
+                f"{settings.where}: link {link!r} is optical and takes no pose; name the link it is fixed to instead"
+            )
+        return Pose()
+    T_link_camera: Mat4 = np.eye(4)
+    if place is not None:
+        place.check_keys(_POSE_KEYS)
+        roll, pitch, yaw = (math.radians(angle) for angle in place.vector("rpy_deg"))
+        T_link_camera = matrix_from_pose(pose_from_xyz_rpy(place.vector("xyz"), (roll, pitch, yaw)))
+    T_link_camera[:3, :3] = T_link_camera[:3, :3] @ R_LINK_OPTICAL
+    return pose_from_matrix(T_link_camera)

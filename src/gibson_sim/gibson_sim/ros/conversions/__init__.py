@@ -1,0 +1,54 @@
+"""Messages from values and values from messages: the only place that knows what the messages look like inside.
+
+``x_to_msg`` makes a message, ``x_from_msg`` reads one. Stamps are copied from the data that a message describes, never taken
+from a clock. Large arrays are copied once, as bytes: a list or an ndarray in a message field costs tens of milliseconds.
+"""
+
+from gibson_sim.ros.conversions.basics import (
+    header_to_msg,
+    pose_from_msg,
+    pose_to_msg,
+    time_from_msg,
+    time_to_msg,
+    transform_to_msg,
+    vector_from_msg,
+    vector_to_msg,
+)
+from gibson_sim.ros.conversions.images import ENCODINGS, array_from_image, camera_info_to_msg, frame_to_image_msgs, image_to_msg
+from gibson_sim.ros.conversions.robot import (
+    ground_truth_to_msg,
+    joint_states_to_msg,
+    odometry_pose,
+    odometry_to_msg,
+    planar_from_odometry,
+    scan_to_msg,
+    velocity_from_msg,
+)
+from gibson_sim.ros.conversions.scene import scene_from_msg, scene_state_from_msg, scene_state_to_msg, scene_to_msg
+
+__all__ = [
+    "ENCODINGS",
+    "array_from_image",
+    "camera_info_to_msg",
+    "frame_to_image_msgs",
+    "ground_truth_to_msg",
+    "header_to_msg",
+    "image_to_msg",
+    "joint_states_to_msg",
+    "odometry_pose",
+    "odometry_to_msg",
+    "planar_from_odometry",
+    "pose_from_msg",
+    "pose_to_msg",
+    "scan_to_msg",
+    "scene_from_msg",
+    "scene_state_from_msg",
+    "scene_state_to_msg",
+    "scene_to_msg",
+    "time_from_msg",
+    "time_to_msg",
+    "transform_to_msg",
+    "vector_from_msg",
+    "vector_to_msg",
+    "velocity_from_msg",
+]

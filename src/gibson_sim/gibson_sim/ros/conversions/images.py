@@ -1,0 +1,97 @@
+"""Images and the calibration of cameras."""
+
+from __future__ import annotations
+
+from array import array
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, Image
+
+from gibson_sim.errors import SceneError
+from gibson_sim.ros.conversions.basics import (
+    header_to_msg,
+)
+from gibson_sim.types import (
+    DISTORTIONS,
+    CameraSpec,
+    Frame,
+    Output,
+)
+
+ENCODINGS: dict[Output, str] = {
+    "rgb": "rgb8",
+    "depth": "32FC1",
+    "semantic": "16UC1",
+    "instance": "16UC1",
+    "normal": "32FC3",
+    "normal_world": "32FC3",
+    "position": "32FC3",
+    "flow": "32FC2",
+}
+"""How the pixels of each output are written in an image message."""
+_PIXELS: dict[str, tuple[type[np.generic], int]] = {
+    "rgb8": (np.uint8, 3),
+    "32FC1": (np.float32, 1),
+    "16UC1": (np.uint16, 1),
+    "32FC2": (np.float32, 2),
+    "32FC3": (np.float32, 3),
+}
+"""Encoding -> type and number of channels."""
+
+
+def camera_info_to_msg(camera: CameraSpec, stamp_ns: int) -> CameraInfo:
+    """Returns the calibration of a camera, whose image is not rectified: R is the identity and P begins with K.
+
+    In the right camera of a stereo pair P has Tx = -fx baseline. ROS has no model of an equirectangular camera: its name stands in
+    ``distortion_model`` and all matrices are zero, which says "no calibration" to whoever looks for a pinhole.
+    """
+    info = CameraInfo(header=header_to_msg(stamp_ns, camera.optical_frame), height=camera.height, width=camera.width)
+    if camera.projection == "equirectangular":
+        info.distortion_model = camera.projection
+        info.r = np.zeros(9)
+        return info
+    k = camera.intrinsics()
+    p = np.zeros((3, 4))
+    p[:, :3] = k
+    p[0, 3] = -k[0, 0] * camera.stereo_baseline
+    info.distortion_model = camera.distortion_model
+    info.d = camera.distortion or [0.0] * DISTORTIONS[camera.projection][info.distortion_model][-1]
+    info.k, info.r, info.p = k.ravel(), np.eye(3).ravel(), p.ravel()
+    return info
+
+
+def image_to_msg(pixels: NDArray[Any], encoding: str, stamp_ns: int, frame_id: str) -> Image:
+    """Returns an image of C-contiguous ``pixels``, shape (H, W) or (H, W, C), row 0 at the top."""
+    height, width = pixels.shape[:2]
+    data = array("B")
+    data.frombytes(pixels.data.cast("B"))
+    msg = Image(header=header_to_msg(stamp_ns, frame_id))
+    msg.height, msg.width, msg.encoding = height, width, encoding
+    msg.is_bigendian = 0
+    msg.step = pixels.strides[0]
+    msg.data = data
+    return msg
+
+
+def frame_to_image_msgs(frame: Frame) -> dict[str, Image | CameraInfo]:
+    """Returns the messages of a frame by what they carry (see ``names.camera_topics``), all with the frame's stamp."""
+    camera, stamp = frame.camera, frame.stamp_ns
+    msgs: dict[str, Image | CameraInfo] = {}
+    for output, encoding in ENCODINGS.items():
+        pixels = getattr(frame, output)
+        if pixels is not None:
+            msgs[output] = image_to_msg(pixels, encoding, stamp, camera.optical_frame)
+    info = camera_info_to_msg(camera, stamp)
+    msgs.update({f"{kind}_info": info for kind in tuple(msgs)})
+    return msgs
+
+
+def array_from_image(msg: Image) -> NDArray[Any]:
+    """Returns the pixels of an image in one of our encodings, (H, W), (H, W, 2) or (H, W, 3); they share the message's memory."""
+    if msg.encoding not in _PIXELS:
+        raise SceneError(f"image has encoding {msg.encoding!r}, known: {', '.join(_PIXELS)}")
+    kind, channels = _PIXELS[msg.encoding]
+    rows = np.frombuffer(msg.data, kind).reshape(msg.height, -1)[:, : msg.width * channels]
+    return rows if channels == 1 else rows.reshape(msg.height, msg.width, channels)
