@@ -23,7 +23,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
 CONSTRAINTS = ROOT / "constraints.txt"
-PROJECT = ROOT / "src" / "gibson_sim"
+PROJECTS = (ROOT / "src" / "gibson_sim", ROOT / "ros_ws" / "src" / "gibson_examples")
 INTERFACES = (ROOT / "src" / "gibson_msgs", ROOT / "ros_ws" / "src" / "compat")
 
 SUPPORTED = ((3, 10), (3, 11), (3, 12))
@@ -320,13 +320,14 @@ def build_interfaces(venv: Path, key: str) -> bool:
 
 
 def install_project(venv: Path) -> bool:
-    """Installs Gibson Sim so that the environment uses the source tree. Returns whether there was something to do."""
-    files = [PROJECT / name for name in ("setup.py", "setup.cfg", "pyproject.toml")]
+    """Installs Gibson Sim and its examples from the source tree, in place. Returns whether there was something to do."""
+    files = [project / name for project in PROJECTS for name in ("setup.py", "setup.cfg", "pyproject.toml")]
     stamp = Stamp(venv, "project", digest(files, str(ROOT), str(venv)))
     if stamp.fresh():
         return False
-    say("installing gibson_sim from the source tree")
-    pip(venv, "project", "--editable", str(PROJECT))
+    say(f"installing {' and '.join(project.name for project in PROJECTS)} from the source tree")
+    for project in PROJECTS:
+        pip(venv, project.name, "--editable", str(project))
     stamp.write()
     return True
 

@@ -6,12 +6,13 @@ import os
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from gibson_sim.cli.processes import DomainLock
 from gibson_sim.errors import AlreadyRunningError
-from support.simulation import Listener, require
+from support.simulation import Listener, new_context, require
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -53,9 +54,27 @@ def ros_domain() -> Iterator[int]:
             os.environ[key] = value
 
 
+@pytest.fixture(scope="module")
+def ros_context(ros_domain: int) -> Iterator[Any]:
+    """One participant for all clients of a module."""
+    context = new_context()
+    yield context
+    context.try_shutdown()
+
+
 @pytest.fixture
-def listener(ros_domain: int) -> Iterator[Listener]:
+def listener(ros_context: Any) -> Iterator[Listener]:
     """A client that is closed after the test."""
-    client = Listener()
+    client = Listener(ros_context)
     yield client
     client.close()
+
+
+@pytest.fixture
+def other_listener(ros_domain: int) -> Iterator[Listener]:
+    """A client in a participant of its own: one participant cannot know a topic under two types."""
+    context = new_context()
+    client = Listener(context)
+    yield client
+    client.close()
+    context.try_shutdown()

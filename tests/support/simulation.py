@@ -98,18 +98,24 @@ def wait_until(condition: Callable[[], bool], what: str) -> None:
         time.sleep(0.02)
 
 
-class Listener:
-    """A client of its own context that keeps what arrives."""
+def new_context() -> Any:
+    """Returns a running context: a participant of its own in the ROS domain."""
+    import rclpy
 
-    def __init__(self) -> None:
-        import rclpy
+    context = rclpy.Context()
+    context.init()
+    return context
+
+
+class Listener:
+    """A client that keeps what arrives. The context is its owner's: making and ending one takes others seconds to notice."""
+
+    def __init__(self, context: Any) -> None:
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
 
-        self.context = rclpy.Context()
-        self.context.init()
-        self.node: Any = Node("test_listener", context=self.context, use_global_arguments=False)
-        self._executor = SingleThreadedExecutor(context=self.context)
+        self.node: Any = Node("test_listener", context=context, use_global_arguments=False, start_parameter_services=False)
+        self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self.node)
 
     def collect(self, message_type: Any, topic: str, qos: Any = 10) -> list[Any]:
@@ -126,6 +132,5 @@ class Listener:
             self._executor.spin_once(timeout_sec=0.05)
 
     def close(self) -> None:
-        self._executor.shutdown()
+        self._executor.shutdown(timeout_sec=PATIENCE_S)
         self.node.destroy_node()
-        self.context.try_shutdown()

@@ -68,14 +68,46 @@ class PhysicsConfig:
     """Settings of the physics node."""
 
     scene: str = setting("flat", "Scene: a name, a folder with scene.yaml, a world file (SDF, Drake directives) or a mesh file")
-    robot: str = setting("gibson_bot", "Robot: a name, a folder with robot.yaml, or that file")
-    start: str = setting("", "Name of a start pose, or x,y,yaw_deg; empty = the scene's first start pose, or its most open place")
-    step_hz: int = setting(240, "Physics steps in a second of simulation time", unit="Hz", minimum=60, maximum=10_000)
-    clock_hz: int = setting(120, "Rate of /clock in simulation time; must divide step_hz", unit="Hz", minimum=1, maximum=1000)
-    publish_hz: int = setting(
-        60, "Rate of tf, odometry, joint states and scene state; must divide clock_hz", unit="Hz", minimum=1, maximum=1000
+    robot: str = setting(
+        "gibson_bot",
+        "Robot: a name, a folder with robot.yaml, or that file; several, each in a namespace: `left=gibson_bot,right=gibson_bot`",
     )
-    rate: float = setting(1.0, "Speed of simulation time against wall time; 0 = as fast as possible", minimum=0.0, maximum=1000.0)
+    start: str = setting(
+        "",
+        "Name of a start pose, or x,y,yaw_deg; of several robots in their order, separated by `;`; "
+        "empty = the scene's first start pose, or its most open place",
+    )
+    robot_tf: str = setting(
+        "namespaced",
+        "Several robots: each its own `<robot>/tf` with frames as on one robot, or one `/tf` with frames `<robot>/base_link`",
+        choices=("namespaced", "prefixed"),
+    )
+    step_hz: int = setting(240, "Physics steps in a second of simulation time", unit="Hz", minimum=60, maximum=10_000)
+    clock_hz: int = setting(
+        100, "Rate of /clock in simulation time; it also comes with whatever else is published", unit="Hz", minimum=1, maximum=1000
+    )
+    publish_hz: int = setting(
+        60, "Rate of tf, odometry, joint states and scene state; must divide step_hz", unit="Hz", minimum=1, maximum=1000
+    )
+    rate: float = setting(
+        1.0,
+        "Speed of simulation time against wall time; 0 = as fast as possible. May be changed while it runs",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    start_paused: bool = setting(False, "Time stands still until somebody sets the simulation to playing")
+    reset_time: str = setting(
+        "rewind",
+        "What a reset of time does to /clock: begin at 0 again, or go on, for nodes that cannot bear a jump back",
+        choices=("rewind", "monotonic"),
+    )
+    seed: int = setting(0, "Seed of the noise of all sensors: same seed, same commands, same measurements", minimum=0)
+    map: str = setting(
+        "auto",
+        "Publish the occupancy grid of the floor on `map`: auto = until another node publishes one (SLAM, a map server)",
+        choices=("auto", "on", "off"),
+    )
+    map_resolution: float = setting(0.05, "Edge of a cell of the map", unit="m", minimum=0.005, maximum=1.0)
     duration: float = setting(0.0, "End after so much simulation time; 0 = never", unit="s", minimum=0.0)
     cmd_vel_timeout: float = setting(
         0.5, "A velocity command older than this (simulation time) stops the robot", unit="s", minimum=0.01, maximum=60.0
@@ -97,6 +129,9 @@ class PhysicsConfig:
         "Rules that change lights, colours, textures and materials: a file, or a name under config/randomisation; empty = none",
     )
     randomise_seed: int = setting(0, "Seed of the rules: same seed, same pixels", minimum=0)
+    service_prefix: str = setting(
+        "", "Stands before the names of the services of simulation_interfaces, e.g. `sim/` or `/gzserver/`; empty = plain names"
+    )
     wait_for: str = setting(
         "", "Hold the first tick until topics have so many subscribers, e.g. `scene_state:1,cameras:1` (120 s at most)"
     )
@@ -104,11 +139,10 @@ class PhysicsConfig:
 
     def __post_init__(self) -> None:
         check_settings(self)
-        for fine, coarse in (("step_hz", "clock_hz"), ("clock_hz", "publish_hz")):
-            if getattr(self, fine) % getattr(self, coarse):
-                raise ConfigError(
-                    f"setting {coarse!r} is {getattr(self, coarse)} Hz, must divide {fine!r}, which is {getattr(self, fine)} Hz"
-                )
+        if self.step_hz % self.publish_hz:
+            raise ConfigError(f"setting 'publish_hz' is {self.publish_hz} Hz, must divide 'step_hz', which is {self.step_hz} Hz")
+        if self.clock_hz > self.step_hz:
+            raise ConfigError(f"setting 'clock_hz' is {self.clock_hz} Hz, must be at most 'step_hz', {self.step_hz} Hz")
         if self.camera_rate > self.publish_hz:
             raise ConfigError(
                 f"setting 'camera_rate' is {self.camera_rate:g} Hz, must be at most 'publish_hz', {self.publish_hz} Hz"
@@ -158,10 +192,55 @@ class RenderConfig:
     cache: str = setting(
         "", "Folder that keeps loaded scenes for the next start; empty = ~/.cache/gibson-sim/scenes, none = keep nothing"
     )
+    register_depth: str = setting(
+        "",
+        "Depth cameras whose depth is also published as a colour camera of the same robot sees it, "
+        "e.g. `depth_camera=color`; separated by commas",
+    )
+    compressed_format: str = setting("jpeg", "Format of <camera>/image_raw/compressed", choices=("jpeg", "png"))
+    jpeg_quality: int = setting(95, "Quality of JPEG images", minimum=1, maximum=100)
+    png_level: int = setting(3, "How hard PNG images are compressed: 0 = fast, 9 = small", minimum=0, maximum=9)
+    compressed_depth_max: float = setting(
+        10.0, "Depth from which on compressedDepth images have none", unit="m", minimum=0.1, maximum=1000.0
+    )
+    compressed_depth_quantization: float = setting(
+        100.0, "How fine compressedDepth is: a step at d metres is about d^2 / quantization^2 metres", minimum=1.0, maximum=1000.0
+    )
+    asset_roots: str = setting(
+        "",
+        "Where files of the physics machine lie on this one: `from=to` pairs of folders, separated by commas; "
+        "empty = scenes, robots and objects are looked for by name",
+    )
     summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
 
     def __post_init__(self) -> None:
         check_settings(self)
+        self.registrations()
+        self.asset_folders()
+
+    def wanted_cameras(self) -> tuple[str, ...]:
+        """Returns the names in ``cameras``; none = all."""
+        return tuple(part.strip() for part in self.cameras.split(",") if part.strip())
+
+    def registrations(self) -> dict[str, str]:
+        """Returns the camera that each depth camera of ``register_depth`` is registered to, by name."""
+        return dict(_pairs("register_depth", self.register_depth, "depth_camera=color"))
+
+    def asset_folders(self) -> tuple[tuple[str, str], ...]:
+        """Returns the pairs of ``asset_roots``."""
+        return _pairs("asset_roots", self.asset_roots, "/there/scenes=/here/scenes")
+
+
+def _pairs(name: str, text: str, example: str) -> tuple[tuple[str, str], ...]:
+    """Returns what stands left and right of the equals signs of a setting."""
+    found = []
+    for part in (part.strip() for part in text.split(",")):
+        left, equals, right = (word.strip() for word in part.partition("="))
+        if part and not (left and equals and right):
+            raise ConfigError(f"setting {name!r} has {part!r}, must be pairs separated by commas, e.g. {example}")
+        if part:
+            found.append((left, right))
+    return tuple(found)
 
 
 @dataclass(frozen=True, slots=True)

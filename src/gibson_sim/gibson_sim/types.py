@@ -160,6 +160,8 @@ class CameraSpec:
     """Right camera of a stereo pair: metres to the left one. It goes into ``p`` of camera_info."""
     effects: ImageEffects = field(default_factory=ImageEffects)
     depth_noise: DepthNoise = field(default_factory=DepthNoise)
+    frame_id: str = ""
+    """The tf frame of its images; empty = ``<name>_optical_frame``."""
 
     def __post_init__(self) -> None:
         what = f"camera {self.name!r}"
@@ -223,8 +225,8 @@ class CameraSpec:
 
     @property
     def optical_frame(self) -> str:
-        """The tf frame of its images, ``<name>_optical_frame``."""
-        return f"{self.name}_optical_frame"
+        """The tf frame of its images."""
+        return self.frame_id or f"{self.name}_optical_frame"
 
     def intrinsics(self) -> NDArray[np.float64]:
         """Returns K, shape (3, 3), pixels; pixel centres are at whole numbers (OpenCV, ROS).
@@ -290,6 +292,24 @@ class VelocityCommand:
             )
 
 
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """A point at which two bodies touch."""
+
+    body_a: str
+    link_a: str
+    body_b: str
+    """Name of the other body, or of a static shape of the scene."""
+    link_b: str
+    """Empty for a static shape."""
+    position: Vec3
+    """On b, world frame, metres."""
+    normal: Vec3
+    """From b to a, unit vector, world frame."""
+    force: float
+    """N, along the normal."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
     """What one camera saw at one tick. Row 0 is the top of the image."""
@@ -341,3 +361,5 @@ class Odometry:
     """Forward speed, m/s, base frame."""
     angular: float
     """Yaw rate, rad/s."""
+    lateral: float = 0.0
+    """Speed to the left, m/s, base frame."""

@@ -13,9 +13,13 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 ARGUMENTS = (
     ("scene", "flat", str, "scene: a name, a folder, a world file or a mesh file"),
-    ("robot", "gibson_bot", str, "robot: a name, a folder or a robot.yaml"),
-    ("start", "", str, "where the robot starts: a name or x,y,yaw_deg"),
+    ("robot", "gibson_bot", str, "robot: a name, a folder or a robot.yaml; several: left=gibson_bot,right=gibson_bot"),
+    ("start", "", str, "where the robot starts: a name or x,y,yaw_deg; several: separated by ;"),
+    ("robot_tf", "namespaced", str, "several robots: namespaced or prefixed transforms"),
     ("rate", "1.0", float, "speed of simulation time; 0.0 = as fast as possible"),
+    ("start_paused", "false", bool, "time stands still until the simulation is set to playing"),
+    ("reset_time", "rewind", str, "what a reset does to /clock: rewind or monotonic"),
+    ("map", "auto", str, "publish the floor's occupancy grid: auto, on or off"),
     ("publish_map_tf", "false", bool, "publish map -> odom from ground truth"),
 )
 

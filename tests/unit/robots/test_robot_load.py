@@ -52,7 +52,7 @@ def test_given_wheel_radius_wins(load: Load) -> None:
 
 def test_joint_axis_that_points_right_changes_the_sign(load: Load) -> None:
     drive = load(DRIVE, left_axis=-1).drive
-    assert (drive.left_sign, drive.right_sign) == (-1.0, 1.0)
+    assert (drive.left_signs, drive.right_signs) == ((-1.0,), (1.0,))
 
 
 def test_radius_reaches_the_farthest_corner(load: Load) -> None:
@@ -149,7 +149,7 @@ def test_camera_on_an_optical_link_is_that_link(load: Load) -> None:
         ("lidar: {link: eye, range_min: 5, range_max: 2}\n", "range_min"),
         ("lidar: {link: eye, beams: .nan}\n", "finite"),
         ("base_link: l\n", "must be the root link"),
-        ("drive: {type: ackermann}\n", "'differential'"),
+        ("drive: {type: tank}\n", "'tank', must be one of differential, skid_steer, omni, ackermann"),
         ("drive: {type: differential, left_joint: jr, right_joint: jl}\n", "swapped"),
         ("drive: {type: differential, left_joint: je, right_joint: jr}\n", "cannot drive"),
         ("drive: {type: differential, left_joint: jl, right_joint: jr, max_linear: -1}\n", "max_linear"),

@@ -35,3 +35,18 @@ def test_no_tick_is_lost_or_doubled_over_many_small_steps() -> None:
 def test_as_fast_as_possible_always_has_one_due() -> None:
     pacer = Pacer(tick_hz=120, rate=0.0)
     assert [pacer.due(0), pacer.due(0), pacer.due(5)] == [1, 1, 1]
+
+
+def test_other_rate_counts_from_where_it_was_set() -> None:
+    pacer = Pacer(tick_hz=100, rate=1.0)
+    assert [pacer.due(t * MS) for t in (0, 100)] == [0, 10]
+    pacer.set_rate(0.5)
+    assert [pacer.due(t * MS) for t in (110, 210)] == [0, 5]
+
+
+def test_time_that_stood_still_is_neither_caught_up_nor_lost() -> None:
+    pacer = Pacer(tick_hz=100, rate=1.0)
+    pacer.due(0)
+    pacer.restart()
+    assert [pacer.due(t * MS) for t in (9_000, 9_010)] == [0, 1]
+    assert pacer.lost_ns == 0

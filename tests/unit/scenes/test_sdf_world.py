@@ -128,10 +128,30 @@ def test_unreadable_pose_is_zero_with_a_warning(tmp_path: Path, pose: str) -> No
     assert any(pose in w for w in scene.warnings)
 
 
-def test_model_that_includes_itself_is_refused(tmp_path: Path) -> None:
-    _model(tmp_path, "loop", f"{_box_link()}<include><uri>model://loop</uri></include>")
-    with pytest.raises(SceneError, match="itself"):
-        _load(tmp_path, "<include><uri>model://loop</uri></include>")
+def test_model_that_includes_itself_is_left_out_there_with_a_warning(tmp_path: Path) -> None:
+    # Twice: followed to any depth, this would double with each level.
+    _model(tmp_path, "loop", _box_link() + "<include><uri>model://loop</uri></include>" * 2)
+    scene = _load(tmp_path, "<include><uri>model://loop</uri></include>")
+    assert [v.name for v in scene.visuals] == ["loop"]
+    (warning,) = scene.warnings
+    assert "loop" in warning
+    assert "includes itself" in warning
+
+
+def test_models_that_include_each_other_are_left_out_there(tmp_path: Path) -> None:
+    _model(tmp_path, "a", _box_link() + "<include><uri>model://b</uri></include>")
+    _model(tmp_path, "b", _box_link() + "<include><uri>model://a</uri></include>")
+    scene = _load(tmp_path, "<include><uri>model://a</uri></include>")
+    assert [v.name for v in scene.visuals] == ["a", "a_2"]
+    assert any("includes itself" in warning for warning in scene.warnings)
+
+
+def test_model_may_be_included_many_times(tmp_path: Path) -> None:
+    _model(tmp_path, "leg", _box_link())
+    _model(tmp_path, "table", "<include><uri>model://leg</uri></include>" * 4)
+    scene = _load(tmp_path, "<include><uri>model://table</uri></include>" * 2)
+    assert len(scene.visuals) == 8
+    assert scene.warnings == ()
 
 
 SUN = '<light name="sun" type="directional"><diffuse>0.5 0.25 0.25 1</diffuse><direction>0 1 -1</direction></light>'

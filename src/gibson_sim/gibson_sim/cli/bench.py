@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.cli import bench_tensors
+from gibson_sim.cli import bench_ros, bench_tensors
 from gibson_sim.config import DETAIL_PX
 from gibson_sim.errors import ConfigError
 from gibson_sim.types import OUTPUTS
@@ -20,10 +20,11 @@ _OUTPUTS = ("rgb", "rgb,depth", "rgb,depth,semantic,instance,normal")
 
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
-    parser = subparsers.add_parser("bench", help="measure how fast this machine draws")
+    parser = subparsers.add_parser("bench", help="measure how fast this machine draws, and how fast ROS carries it")
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="WHAT")
     _add_render(kinds)
     bench_tensors.add_parser(kinds)
+    bench_ros.add_parser(kinds)
 
 
 def _add_render(kinds: Any) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import hashlib
 import logging
 import os
 import sys
@@ -16,6 +17,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +69,7 @@ _VERTEX_LIMIT = 131_000
 """Vertices of one collision shape; PyBullet refuses arrays above 131,072 vertices or 524,288 indices."""
 _TRIANGLE_LIMIT = 174_000
 _FIRST_RAY_BIT = 6
+_YZX, _ZXY = np.array([1, 2, 0]), np.array([2, 0, 1])
 MAX_BODIES_WITH_RAYS = 24
 """Bodies that rays can leave out: each needs a bit of the 32-bit collision group; Bullet owns the lowest six."""
 
@@ -94,10 +97,27 @@ class JointReading:
     efforts: NDArray[np.float64]
 
 
+@dataclass(frozen=True, slots=True)
+class EngineContact:
+    """A point at which a body touches another one."""
+
+    link: int
+    """Of the body asked about; -1 = the root."""
+    other: str
+    """Name of the other body, or of the static shape."""
+    other_link: int
+    position: Vec3
+    """On the other body, world frame, metres."""
+    normal: Vec3
+    """From the other body to this one, unit vector, world frame."""
+    force: float
+    """N, along the normal."""
+
+
 class BulletBody:
     """What was found out once about a body with joints."""
 
-    __slots__ = ("joint_indices", "link_count", "link_turns", "links_in_inertial", "ray_bit", "uid")
+    __slots__ = ("joint_indices", "link_count", "link_turns", "links_in_inertial", "ray_bit", "root_inertial", "uid")
 
     def __init__(self, uid: int, joint_indices: dict[str, int], inertial_poses: Sequence[tuple[Vec3, Quat]]) -> None:
         self.uid = uid
@@ -109,7 +129,10 @@ class BulletBody:
         """(N, 3): origins of the link frames in the frame that Bullet moves: centre of mass and principal axes."""
         self.link_turns = np.array([right_multiplication(quat) for quat in conjugates])
         """(N, 4, 4): multiply a quaternion of the principal axes to that of the link frame."""
+        self.root_inertial = inertial_poses[0]
+        """Position and quaternion of what Bullet moves in the root link's frame."""
         self.ray_bit = 0
+        """Bit of the collision group that rays can leave out; 0 = rays always hit it."""
 
 
 class Bullet:
@@ -122,7 +145,8 @@ class Bullet:
         if self._client < 0:
             self._client = None
             raise PhysicsError("PyBullet gives no more clients; close worlds that are no longer used")
-        self._bodies = 0
+        self._names: dict[int, str] = {}
+        """The engine's number of a body -> its name."""
         self._ray_bits = set(range(_FIRST_RAY_BIT, _FIRST_RAY_BIT + MAX_BODIES_WITH_RAYS))
         self._ray_threads = min(4, os.cpu_count() or 1)
         p.setTimeStep(1.0 / step_hz, physicsClientId=self._client)
@@ -199,7 +223,7 @@ class Bullet:
             shapes.append(self._checked(uid, name))
         return shapes
 
-    def add_static(self, shapes: Sequence[int], pose: Pose) -> None:
+    def add_static(self, shapes: Sequence[int], pose: Pose, name: str) -> None:
         """Puts shapes into the world for good; shapes may be used many times."""
         for shape in shapes:
             # Rigid bodies, not multi-bodies: Bullet visits every multi-body in every step, static ones too.
@@ -211,7 +235,7 @@ class Bullet:
                 useMaximalCoordinates=1,
                 physicsClientId=self.client,
             )
-            self._checked(uid, "static body")
+            self._names[self._checked(uid, "static body")] = name
             p.changeDynamics(uid, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=self.client)
 
     @staticmethod
@@ -222,30 +246,52 @@ class Bullet:
 
     # Bodies with joints
 
-    def load_urdf(self, text: str, pose: Pose, name: str) -> BulletBody:
+    @property
+    def folder(self) -> Path:
+        """A folder of this engine for files; it goes with the engine."""
+        if self._folder is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="gibson_sim_physics_")
+        return Path(self._folder.name)
+
+    def write_mesh(self, vertices: NDArray[np.float64], triangles: NDArray[Any]) -> Path:
+        """Returns an OBJ file with the triangles; equal ones share a file.
+
+        Args:
+            vertices: (V, 3), metres.
+            triangles: (T, 3) indices into ``vertices``.
+        """
+        lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
+        lines += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
+        text = "\n".join(lines) + "\n"
+        path = self.folder / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.obj"
+        if not path.is_file():
+            path.write_text(text)
+        return path
+
+    def load_urdf(self, text: str, pose: Pose, name: str, *, static: bool = False) -> BulletBody:
         """Adds a body whose root link frame is at ``pose``; its motors are off.
 
         Args:
             text: URDF with absolute mesh paths (``robots.rigid.physics_urdf``).
             pose: T_world_root.
             name: for error messages.
+            static: its root never moves by itself.
         """
-        if self._folder is None:
-            self._folder = tempfile.TemporaryDirectory(prefix="gibson_sim_physics_")
-        self._bodies += 1
-        path = Path(self._folder.name) / f"{self._bodies}.urdf"
+        path = self.folder / "body.urdf"
         path.write_text(text, encoding="utf-8")
         flags = p.URDF_USE_INERTIA_FROM_FILE | p.URDF_MAINTAIN_LINK_ORDER | p.URDF_USE_IMPLICIT_CYLINDER
         try:
             with _quiet():
-                uid = p.loadURDF(str(path), pose.position, pose.quat_xyzw, flags=flags, physicsClientId=self.client)
+                uid = p.loadURDF(
+                    str(path), pose.position, pose.quat_xyzw, useFixedBase=static, flags=flags, physicsClientId=self.client
+                )
         except p.error as error:
             raise PhysicsError(f"PyBullet refused the URDF of {name!r} ({error}); log level DEBUG shows its reasons") from error
         count = p.getNumJoints(uid, physicsClientId=self.client)
         joints = {p.getJointInfo(uid, i, physicsClientId=self.client)[1].decode(): i for i in range(count)}
         inertial = [p.getDynamicsInfo(uid, i, physicsClientId=self.client)[3:5] for i in range(-1, count)]
         body = BulletBody(uid, joints, inertial)
-        self._give_ray_bit(body, name)
+        self._names[uid] = name
         for i in range(-1, count):
             # Bullet's default drag would slow a freely rolling wheel.
             p.changeDynamics(uid, i, linearDamping=0.0, angularDamping=0.0, restitution=0.0, physicsClientId=self.client)
@@ -255,7 +301,8 @@ class Bullet:
                 p.setJointMotorControl2(uid, i, p.VELOCITY_CONTROL, force=0.0, physicsClientId=self.client)
         return body
 
-    def _give_ray_bit(self, body: BulletBody, name: str) -> None:
+    def let_rays_pass(self, body: BulletBody, name: str) -> None:
+        """Lets ``cast_rays`` leave this body out."""
         if not self._ray_bits:
             raise PhysicsError(f"cannot add {name!r}: a world holds at most {MAX_BODIES_WITH_RAYS} robots")
         body.ray_bit = min(self._ray_bits)
@@ -266,7 +313,45 @@ class Bullet:
     def remove(self, body: BulletBody) -> None:
         """Takes a body out of the world."""
         p.removeBody(body.uid, physicsClientId=self.client)
-        self._ray_bits.add(body.ray_bit)
+        del self._names[body.uid]
+        if body.ray_bit:
+            self._ray_bits.add(body.ray_bit)
+
+    def place(self, body: BulletBody, pose: Pose) -> None:
+        """Puts the root link's frame at ``pose`` (T_world_root); joints and velocities stay."""
+        quat = _times(pose.quat_xyzw, body.root_inertial[1])
+        center = np.array(pose.position) - turn(np.array([quat]), body.links_in_inertial[:1])[0]
+        p.resetBasePositionAndOrientation(body.uid, center.tolist(), quat, physicsClientId=self.client)
+
+    def set_velocity(self, body: BulletBody, quat_xyzw: Quat, linear: NDArray[np.float64], angular: NDArray[np.float64]) -> None:
+        """Sets the velocity of the root link's origin.
+
+        Args:
+            body: whose.
+            quat_xyzw: orientation of the root link's frame now.
+            linear: (3,), m/s, world frame.
+            angular: (3,), rad/s, world frame.
+        """
+        to_frame = turn(np.array([_times(quat_xyzw, body.root_inertial[1])]), body.links_in_inertial[:1])[0]
+        center = linear - cross(angular[None], to_frame[None])[0]
+        p.resetBaseVelocity(body.uid, center.tolist(), angular.tolist(), physicsClientId=self.client)
+
+    def damp_joint(self, body: BulletBody, index: int, damping: float) -> None:
+        """Slows a joint by ``damping`` (N m s/rad or N s/m) times its speed."""
+        p.changeDynamics(body.uid, index, jointDamping=damping, physicsClientId=self.client)
+
+    def contacts(self, body: BulletBody) -> list[EngineContact]:
+        """Returns what touches the body; it is always ``a``."""
+        points = p.getContactPoints(bodyA=body.uid, physicsClientId=self.client) or ()
+        out = []
+        for point in points:
+            _, a, b, link_a, link_b, _, position, normal, distance, force = point[:10]
+            if a != body.uid:
+                a, b, link_a, link_b, normal = b, a, link_b, link_a, tuple(-c for c in normal)
+                position = point[5]
+            if force > 0.0 or distance <= 0.0:
+                out.append(EngineContact(link_a, self._names.get(b, ""), link_b, position, normal, force))
+        return out
 
     def link_states(self, body: BulletBody) -> LinkStates:
         """Returns frames and velocities of the root and all links below it."""
@@ -287,13 +372,13 @@ class Bullet:
 
     def joint_reading(self, body: BulletBody, indices: Sequence[int]) -> JointReading:
         """Returns positions, velocities and motor efforts of the joints."""
-        states = p.getJointStates(body.uid, indices, physicsClientId=self.client)
+        states = p.getJointStates(body.uid, indices, physicsClientId=self.client) if indices else ()
         data = np.array([(s[0], s[1], s[3]) for s in states]).reshape(-1, 3)
         return JointReading(data[:, 0], data[:, 1], data[:, 2])
 
     def joint_angles(self, body: BulletBody, indices: Sequence[int]) -> list[float]:
         """Returns the positions alone: radians or metres."""
-        return [s[0] for s in p.getJointStates(body.uid, indices, physicsClientId=self.client)]
+        return [s[0] for s in p.getJointStates(body.uid, indices, physicsClientId=self.client)] if indices else []
 
     def drive_joints(self, body: BulletBody, indices: Sequence[int], speeds: Sequence[float], efforts: Sequence[float]) -> None:
         """Lets motors hold ``speeds`` (rad/s) with at most ``efforts`` (N m)."""
@@ -324,13 +409,19 @@ class Bullet:
 
 def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     """Returns a x b, (N, 3); several times faster than ``np.cross`` for few rows."""
-    return a[:, (1, 2, 0)] * b[:, (2, 0, 1)] - a[:, (2, 0, 1)] * b[:, (1, 2, 0)]
+    return a.take(_YZX, 1) * b.take(_ZXY, 1) - a.take(_ZXY, 1) * b.take(_YZX, 1)
 
 
 def turn(quats_xyzw: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Returns vectors, (N, 3), turned by unit quaternions, (N, 4)."""
     axis, scalar = quats_xyzw[:, :3], quats_xyzw[:, 3:]
     return vectors + 2.0 * cross(axis, cross(axis, vectors) + scalar * vectors)
+
+
+def _times(a: Quat, b: Quat) -> Quat:
+    """Returns the quaternion product a b."""
+    x, y, z, w = (right_multiplication(b) @ np.array(a)).tolist()
+    return (x, y, z, w)
 
 
 def right_multiplication(quat_xyzw: Quat) -> NDArray[np.float64]:

@@ -1,113 +1,104 @@
-"""One robot in the engine: its motors, its wheels, the frames of its links."""
+"""One robot in the engine: its drive, and the joints of its arms."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterable
 
-import numpy as np
-from numpy.typing import NDArray
-
-from gibson_sim.geometry.transforms import Mat4, quat_from_matrix
-from gibson_sim.physics.bullet import Bullet, BulletBody, cross, right_multiplication, turn
-from gibson_sim.robots.differential_drive import PlanarVelocity, WheelOdometry, active_command, limit_velocity, wheel_speeds
-from gibson_sim.robots.drive_spec import DriveSpec
-from gibson_sim.robots.rigid import RigidGroup, physics_urdf, rigid_groups
+from gibson_sim.physics.body import BodyInWorld
+from gibson_sim.physics.bullet import Bullet
+from gibson_sim.physics.drive import DriveInWorld, without_friction
+from gibson_sim.robots.drives import active_command, make_drive
+from gibson_sim.robots.joint_commands import JointCommand
+from gibson_sim.robots.joint_control import JointControl
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.robots.urdf import UrdfModel, read_urdf
-from gibson_sim.types import VelocityCommand
+from gibson_sim.robots.urdf import UrdfJoint, read_urdf
+from gibson_sim.robots.wheel_noise import OdometryNoise
+from gibson_sim.types import NS_PER_S, VelocityCommand
 
 _HOLD_EFFORT = 100.0
-"""N m or N: holds a joint whose URDF gives no effort."""
+"""N m or N: moves and holds a joint whose URDF gives no effort."""
 
 
-@dataclass(slots=True)
-class _Drive:
-    """Motors of a differential drive."""
-
-    spec: DriveSpec
-    joints: tuple[int, int]
-    velocity: PlanarVelocity = field(default_factory=PlanarVelocity)
-    """What the motors were told last."""
-    speeds: tuple[float, float] | None = None
-    angles: tuple[float, float] = (0.0, 0.0)
-
-
-class RobotInWorld:
+class RobotInWorld(BodyInWorld):
     """One robot in the engine, and what it was told."""
 
-    def __init__(self, bullet: Bullet, spec: RobotSpec) -> None:
-        self.spec = spec
-        self._model: UrdfModel = read_urdf(spec.urdf)
-        self._groups, group_warnings = rigid_groups(self._model)
-        self.warnings = (*self._model.warnings, *group_warnings)
-        self._urdf = physics_urdf(self._model, self._groups)
-        self.load(bullet)
-        self._rows, self._offsets, self._turns = self._link_table()
+    def __init__(self, bullet: Bullet, spec: RobotSpec, seed: int = 0) -> None:
+        self.spec, self._seed = spec, seed
+        model = read_urdf(spec.urdf)
+        self._driven: tuple[str, ...] = ()
+        if spec.drive is not None:
+            drive = make_drive(spec.drive)
+            self._driven = tuple(joint.name for joint in (*drive.wheels, *drive.steering))
+            if drive.servo is not None:
+                model = without_friction(model, [joint.name for joint in drive.wheels])
+        self._motors = tuple(joint for joint in model.joints if joint.name not in self._driven and _has_motor(joint))
+        """What ``command_joints`` moves."""
+        self._efforts = {joint.name: joint.effort or _HOLD_EFFORT for joint in self._motors}
+        super().__init__(bullet, spec.name, model, spec.start)
 
     def load(self, bullet: Bullet) -> None:
         """Puts the robot at its start, at rest."""
-        self.body: BulletBody = bullet.load_urdf(self._urdf, self.spec.start, self.spec.name)
+        super().load(bullet)
+        bullet.let_rays_pass(self.body, self.name)
         self.command: VelocityCommand | None = None
-        self.drive: _Drive | None = None
-        self.odometry: WheelOdometry | None = None
-        wheels: tuple[str, ...] = ()
+        self.drive: DriveInWorld | None = None
         if self.spec.drive is not None:
-            wheels = (self.spec.drive.left_joint, self.spec.drive.right_joint)
-            left, right = (self.body.joint_indices[self._model.joint(name).name] for name in wheels)
-            self.drive = _Drive(self.spec.drive, (left, right))
-            self.odometry = WheelOdometry(self.spec.drive)
-        for joint in self._model.joints:
-            if joint.kind in ("revolute", "prismatic") and joint.name not in wheels:
-                bullet.hold_joints(self.body, (self.body.joint_indices[joint.name],), (0.0,), (joint.effort or _HOLD_EFFORT,))
+            drive = make_drive(self.spec.drive)
+            noise = OdometryNoise(self.spec.sensors.wheel_odometry, self.name, self._seed, left=[wheel.is_left for wheel in drive.wheels])
+            self.drive = DriveInWorld(drive, self, None if noise.exact else noise)
+        self._joints = JointControl(self._motors, self._driven)
+        self._step_start_ns = 0
+
+    def _hold_joints(self, bullet: Bullet) -> None:
+        """Motors hold every joint but those of the drive at 0, or at the limit next to it; continuous ones turn freely."""
+        for joint in self._motors:
+            if joint.kind != "continuous":
+                start = min(max(0.0, joint.lower), joint.upper) if joint.lower <= joint.upper else 0.0
+                self._hold(bullet, {joint.name: start})
+
+    def command_joints(self, bullet: Bullet, command: JointCommand, now_ns: int) -> None:
+        """Obeys ``command`` from the next step on; joints that it does not name go on as they were told.
+
+        Raises:
+            CommandError: an unknown joint, a number beyond a limit, a trajectory that is over; nothing has changed then.
+        """
+        positions: dict[str, float] = {}
+        velocities: dict[str, float] = {}
+        names = self._joints.names
+        if names:
+            reading = bullet.joint_reading(self.body, self._indices(names))
+            positions = dict(zip(names, reading.positions.tolist(), strict=True))
+            velocities = dict(zip(names, reading.velocities.tolist(), strict=True))
+        self._joints.command(command, now_ns, positions, velocities)
 
     def actuate(self, bullet: Bullet, now_ns: int, timeout_ns: int, dt: float) -> None:
         """Sets the motors for the step that begins at ``now_ns``."""
-        drive = self.drive
-        assert drive is not None
-        wanted = active_command(self.command, now_ns, timeout_ns)
-        drive.velocity = limit_velocity(drive.velocity, wanted, drive.spec, dt)
-        left, right = wheel_speeds(*drive.velocity, drive.spec)
-        speeds = (left * drive.spec.left_sign, right * drive.spec.right_sign)
-        if speeds == drive.speeds:
-            return
-        drive.speeds = speeds
-        torques = (drive.spec.max_wheel_torque,) * 2
-        if speeds == (0.0, 0.0):
-            # A motor that holds speed 0 lets the wheel creep by the solver's residual, 0.1 m in an hour.
-            bullet.hold_joints(self.body, drive.joints, drive.angles, torques)
-        else:
-            bullet.drive_joints(self.body, drive.joints, speeds, torques)
+        self._step_start_ns = now_ns
+        if self.drive is not None:
+            self.drive.actuate(bullet, active_command(self.command, now_ns, timeout_ns), dt)
+        names = self._joints.active
+        if names:
+            positions = dict(zip(names, bullet.joint_angles(self.body, self._indices(names)), strict=True))
+            targets = self._joints.step(now_ns, round(dt * NS_PER_S), positions)
+            if targets.speeds:
+                efforts = [self._efforts[name] for name in targets.speeds]
+                bullet.drive_joints(self.body, self._indices(targets.speeds), list(targets.speeds.values()), efforts)
+            if targets.held:
+                self._hold(bullet, targets.held)
 
     def read_wheels(self, bullet: Bullet, dt: float) -> None:
         """Adds what the wheels turned in the last step to the odometry."""
-        drive, odometry = self.drive, self.odometry
-        assert drive is not None and odometry is not None
-        left, right = bullet.joint_angles(self.body, drive.joints)
-        odometry.update((left - drive.angles[0]) * drive.spec.left_sign, (right - drive.angles[1]) * drive.spec.right_sign, dt)
-        drive.angles = (left, right)
+        if self.drive is not None:
+            self.drive.read(bullet, self._step_start_ns, dt)
 
-    def link_states(self, bullet: Bullet) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Returns positions (N, 3), quaternions (N, 4) and twists (N, 6) of all links, world frame, in the order of the spec."""
-        groups = bullet.link_states(self.body)
-        rows = self._rows
-        group_quats, angular = groups.quats_xyzw[rows], groups.angular[rows]
-        offsets = turn(group_quats, self._offsets)
-        quats = np.matmul(self._turns, group_quats[:, :, None])[:, :, 0]
-        linear = groups.linear[rows] + cross(angular, offsets)
-        return groups.positions[rows] + offsets, quats, np.concatenate([linear, angular], axis=1)
+    def _hold(self, bullet: Bullet, positions: dict[str, float]) -> None:
+        efforts = [self._efforts[name] for name in positions]
+        bullet.hold_joints(self.body, self._indices(positions), list(positions.values()), efforts)
 
-    def _link_table(self) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
-        """Returns, for every link of the spec, the row of its rigid group in the engine and T_group_link.
+    def _indices(self, names: Iterable[str]) -> list[int]:
+        return [self.body.joint_indices[name] for name in names]
 
-        T_group_link comes as a position, (3,), and as the matrix, (4, 4), that multiplies a quaternion from the right.
-        """
-        home: dict[str, tuple[RigidGroup, Mat4]] = {
-            link: (group, T_group_link) for group in self._groups for link, T_group_link in group.members.items()
-        }
-        rows, offsets, turns = [], [], []
-        for link in self.spec.links:
-            group, T_group_link = home[self._model.link(link).name]
-            rows.append(0 if group.joint is None else 1 + self.body.joint_indices[group.joint.name])
-            offsets.append(T_group_link[:3, 3])
-            turns.append(right_multiplication(quat_from_matrix(T_group_link[:3, :3])))
-        return np.array(rows, dtype=np.intp), np.array(offsets), np.array(turns)
+
+def _has_motor(joint: UrdfJoint) -> bool:
+    """Returns whether a joint obeys commands: a continuous one that the URDF gives neither effort nor speed is a caster."""
+    return joint.kind in ("revolute", "prismatic") or (joint.kind == "continuous" and max(joint.effort, joint.velocity) > 0.0)

@@ -40,6 +40,8 @@ MATERIAL = np.dtype([("color", "<f4", 4), ("surface", "<f4", 4), ("glow", "<f4",
 textures the scale of normals, the strength of occlusion, and how much they say of metallic and of roughness."""
 LOOK = np.dtype([("tint", "<f4", (3, 4)), ("first", "<f4", 4), ("second", "<f4", 4)])
 """``Look`` of looks.glsl."""
+PLAIN_LOOK = (*np.eye(3, 4).ravel().tolist(), 0.0, 0.0, 0.0, -1.0, 1.0, 1.0, 1.0, 1.0)
+"""One that changes nothing; the fourth number of ``first`` is the layer of the pattern, -1 = none."""
 MapSet = tuple[TextureSource | None, TextureSource | None, TextureSource | None, TextureSource | None]
 """Metallic-roughness, normals, occlusion, emission."""
 CHUNK_TRIANGLES = 256
@@ -272,8 +274,7 @@ class _MaterialTable:
         worn = [look for _, look in self.rows]
         if not any(worn):
             return np.zeros(0, dtype=LOOK)
-        plain = (*np.eye(3, 4).ravel().tolist(), 0.0, 0.0, 0.0, -1.0, 1.0, 1.0, 1.0, 1.0)
-        return np.array([look or plain for look in worn], dtype=np.float32).view(LOOK)[:, 0]
+        return np.array([look or PLAIN_LOOK for look in worn], dtype=np.float32).view(LOOK)[:, 0]
 
 
 def _vertices(part: MeshPart, material: int, T_link_visual: F64, label: tuple[int, int]) -> NDArray[np.void]:
@@ -349,7 +350,7 @@ class _Joiner:
             material = int(rows[0]) if len(rows) == 1 else -1
             shiny = not matte[rows].all() or (maps >= 0 and map_sets[maps][0] is not None)
             glossy, looked = not unlit and shiny, bool(looked_rows[rows].any())
-            if batches and _settings(batches[-1]) == (moving, texture, maps, kind, unlit):
+            if batches and settings(batches[-1]) == (moving, texture, maps, kind, unlit):
                 last = batches.pop()
                 first, material = last.first_chunk, material if material == last.material else -1
                 glossy, looked = glossy or last.glossy, looked or last.looked
@@ -477,7 +478,8 @@ class _Joiner:
         self._index_count += triangles.size
 
 
-def _settings(batch: Batch) -> tuple[bool, int, int, Kind, bool]:
+def settings(batch: Batch) -> tuple[bool, int, int, Kind, bool]:
+    """Returns what batches have in common that may be drawn as one."""
     return batch.moving, batch.texture, batch.maps, batch.kind, batch.unlit
 
 

@@ -14,17 +14,16 @@ from numpy.typing import NDArray
 from gibson_sim.geometry.projections import clip_from_optical, frustum_planes
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.render import gl as GL
-from gibson_sim.render.batches import MATERIAL, PLACEMENT, VERTEX, Batch, Batches
+from gibson_sim.render.batches import Batch, Batches
 from gibson_sim.render.context import GlContext
 from gibson_sim.render.dressing import Dressing
 from gibson_sim.render.lighting import Lighting
 from gibson_sim.render.occlusion import DepthPyramid, hidden
+from gibson_sim.render.scene_memory import SceneMemory
 from gibson_sim.render.screen_pass import shader_text
 from gibson_sim.render.shadows import SunShadow
 from gibson_sim.render.target import ATTACHMENT, Feature, Target
-from gibson_sim.render.textures import upload_texture
 from gibson_sim.render.visibility import Detail, Visibility, link_frames
-from gibson_sim.scenes.mesh_types import TextureSource
 from gibson_sim.scenes.spec import LightSpec
 
 F64 = NDArray[np.float64]
@@ -37,16 +36,6 @@ _VIEW = np.dtype(
 _COMMAND = np.dtype([("count", "<u4"), ("instances", "<u4"), ("first", "<u4"), ("base_vertex", "<i4"), ("base_instance", "<u4")])
 _VIEWS = 0
 _LINKS, _LINKS_BEFORE, _MATERIALS, _LOOKS = 0, 1, 2, 3
-_ATTRIBUTES = (
-    # location, numbers, type, normalised (None = whole numbers stay whole), field
-    (0, 3, GL.FLOAT, 0, "position"),
-    (1, 3, GL.SHORT, 1, "normal"),
-    (2, 1, GL.UNSIGNED_SHORT, None, "material"),
-    (3, 2, GL.FLOAT, 0, "uv"),
-    (4, 1, GL.UNSIGNED_INT, None, "label"),
-)
-_PLACED = ((5, "link"), (6, "label"), (7, "material"))
-"""Location and field of what is the same for a whole draw."""
 _NOTHING, _UNKNOWN = np.zeros(4, dtype=np.float32), np.full(4, np.nan, dtype=np.float32)
 _OCCLUSION_FROM = 50_000
 """Fewer triangles than this are drawn without looking what is hidden."""
@@ -98,78 +87,67 @@ class GlScene:
         cull: bool = True,
     ) -> None:
         self._context, self._gl = context, GL.Gl(context)
-        self._batches, self._visibility = batches, Visibility(batches)
-        self._detail_px, self._compress, self._cull = detail_px, compress, cull
+        self._batches, self._light = batches, light
+        self._detail_px, self._cull = detail_px, cull
         self._occlusion = cull and context.device.software
-        self._blend = np.array([b.kind == "blend" for b in batches.batches], dtype=bool)[self._visibility.batch_of]
         self._programs: dict[tuple[str, ...], moderngl.Program] = {}
-        self._buffers: list[int] = []
-        self._array = 0
+        self._memory = SceneMemory(self._gl, compress=compress)
+        self._buffers = [self._gl.create("glCreateBuffers") for _ in range(4)]
+        self._links, self._links_before, self._views, self._command_buffer = self._buffers
         self._lighting: Lighting | None = None
         self._dressing: Dressing | None = None
         self._shadow: SunShadow | None = None
-        self.textures: list[int] = []
-        self.texture_bytes = 0
+        self._glossy = False
         self.warnings: tuple[str, ...] = ()
         """What of the light was left out, one line each."""
         self.drawn_triangles = 0
         """Of the last call of ``draw``."""
         try:
-            self._load(light)
+            self._take(batches, 0, 0)
         except BaseException:
             self.close()
             raise
 
-    def _load(self, light: LightSpec) -> None:
-        gl, b = self._gl, self._batches
-        self._vertices = self._buffer(b.vertices if len(b.vertices) else np.zeros(1, VERTEX))
-        self._indices = self._buffer(b.indices if len(b.indices) else np.zeros(1, np.uint32))
-        self._materials = self._buffer(b.materials if len(b.materials) else np.zeros(1, MATERIAL))
-        self._placements = self._buffer(b.placements)
-        self._links, self._links_before, self._views, self._command_buffer = (self._buffer(None) for _ in range(4))
-        self._array = gl.create("glCreateVertexArrays")
-        for location, numbers, kind, normalised, name in _ATTRIBUTES:
-            offset = VERTEX.fields[name][1]  # type: ignore[index]
-            if normalised is None:
-                gl.glVertexArrayAttribIFormat(self._array, location, numbers, kind, offset)
-            else:
-                gl.glVertexArrayAttribFormat(self._array, location, numbers, kind, normalised, offset)
-            gl.glVertexArrayAttribBinding(self._array, location, 0)
-            gl.glEnableVertexArrayAttrib(self._array, location)
-        # One number for each instance, of which there is one in each draw: its base says which link the draw belongs to.
-        for location, name in _PLACED:
-            gl.glVertexArrayAttribIFormat(self._array, location, 1, GL.UNSIGNED_INT, PLACEMENT.fields[name][1])  # type: ignore[index]
-            gl.glVertexArrayAttribBinding(self._array, location, 1)
-            gl.glEnableVertexArrayAttrib(self._array, location)
-        gl.glVertexArrayBindingDivisor(self._array, 1, 1)
-        gl.glVertexArrayVertexBuffer(self._array, 0, self._vertices, 0, VERTEX.itemsize)
-        gl.glVertexArrayVertexBuffer(self._array, 1, self._placements, 0, PLACEMENT.itemsize)
-        gl.glVertexArrayElementBuffer(self._array, self._indices)
-        self.textures = [self._texture(t) for t in b.textures]
-        self._looks = self._buffer(b.looks) if len(b.looks) else 0
-        self._dressing = Dressing(self._context, b)
-        self._lighting = Lighting(self._context, light, glossy=any(batch.glossy for batch in b.batches))
-        self.warnings = self._lighting.warnings
-        if light.shadows and b.batches:
-            self._shadow = SunShadow(self._context, -np.asarray(light.sun_direction, dtype=np.float64))
+    def update(self, batches: Batches, same_vertices: int, same_indices: int) -> None:
+        """Takes other batches under the same light; the context must be current, and ``set_links`` must follow.
+
+        Args:
+            batches: what to draw from now on.
+            same_vertices: so many of its vertices, from the first on, are those of the batches before.
+            same_indices: likewise.
+        """
+        if self._shadow is not None:
+            self._shadow.close()
+            self._shadow = None
+        self._take(batches, same_vertices, same_indices)
+
+    def _take(self, b: Batches, same_vertices: int, same_indices: int) -> None:
+        before = self._batches if self._dressing is not None else None
+        self._batches, self._visibility = b, Visibility(b)
+        self._blend = np.array([batch.kind == "blend" for batch in b.batches], dtype=bool)[self._visibility.batch_of]
+        self._memory.take(b, same_vertices, same_indices)
+        if before is None or before.map_sets != b.map_sets or not np.array_equal(before.patterns, b.patterns):
+            if self._dressing is not None:
+                self._dressing.close()
+            self._dressing = Dressing(self._context, b)
+        glossy = any(batch.glossy for batch in b.batches)
+        if self._lighting is None or (glossy and not self._glossy):
+            if self._lighting is not None:
+                self._lighting.close()
+            self._lighting, self._glossy = Lighting(self._context, self._light, glossy=glossy), glossy
+            self.warnings = self._lighting.warnings
+        if self._light.shadows and b.batches:
+            self._shadow = SunShadow(self._context, -np.asarray(self._light.sun_direction, dtype=np.float64))
         for batch in b.batches:
             self._program(batch, ())  # now, so that the first image does not wait for the compiler
 
-    def _buffer(self, data: NDArray[Any] | None) -> int:
-        buffer = self._gl.create("glCreateBuffers")
-        self._buffers.append(buffer)
-        if data is not None:
-            data = np.ascontiguousarray(data)
-            self._gl.glNamedBufferData(buffer, data.nbytes, data.ctypes.data, GL.STATIC_DRAW)
-        return buffer
+    @property
+    def texture_bytes(self) -> int:
+        """What the textures of materials take."""
+        return self._memory.texture_bytes
 
     def _upload(self, buffer: int, data: NDArray[Any]) -> None:
         self._gl.glNamedBufferData(buffer, data.nbytes, data.ctypes.data, GL.STREAM_DRAW)
-
-    def _texture(self, source: TextureSource) -> int:
-        texture, size = upload_texture(self._gl, source.pixels, compress=self._compress)
-        self.texture_bytes += size
-        return texture
 
     def _program(self, batch: Batch, features: tuple[Feature, ...], *, color: bool = True) -> moderngl.Program:
         """Returns the program for a batch, compiled at its first use; without colour it fills depth and features only."""
@@ -256,16 +234,16 @@ class GlScene:
 
     def _bind(self) -> None:
         gl = self._gl
-        gl.glBindVertexArray(self._array)
+        gl.glBindVertexArray(self._memory.array)
         gl.glBindBuffer(GL.DRAW_INDIRECT_BUFFER, self._command_buffer)
         assert self._lighting is not None and self._dressing is not None
         self._lighting.bind()
         self._dressing.bind()
         if self._shadow is not None:
             self._shadow.bind()
-        if self._looks:
-            gl.glBindBufferBase(GL.SHADER_STORAGE_BUFFER, _LOOKS, self._looks)
-        for binding, buffer in ((_LINKS, self._links), (_LINKS_BEFORE, self._links_before), (_MATERIALS, self._materials)):
+        if len(self._batches.looks):
+            gl.glBindBufferBase(GL.SHADER_STORAGE_BUFFER, _LOOKS, self._memory.looks)
+        for binding, buffer in ((_LINKS, self._links), (_LINKS_BEFORE, self._links_before), (_MATERIALS, self._memory.materials)):
             gl.glBindBufferBase(GL.SHADER_STORAGE_BUFFER, binding, buffer)
 
     def _begin(self, features: tuple[Feature, ...]) -> None:
@@ -372,7 +350,7 @@ class GlScene:
     def _draw_sky(self, features: tuple[Feature, ...]) -> None:
         assert self._lighting is not None
         self._lighting.draw_sky(features)
-        self._gl.glBindVertexArray(self._array)
+        self._gl.glBindVertexArray(self._memory.array)
 
     def _update_shadow(self) -> None:
         if self._shadow is not None and self._lighting is not None:
@@ -429,7 +407,7 @@ class GlScene:
                 if name in program:
                     program[name].write(np.ascontiguousarray(row[column]))  # type: ignore[union-attr]
         if batch.texture >= 0:
-            gl.glBindTextureUnit(0, self.textures[batch.texture])
+            gl.glBindTextureUnit(0, self._memory.textures[batch.texture])
             gl.glBindSampler(0, 0)
         if batch.maps >= 0 and self._dressing is not None:
             self._dressing.bind_maps(batch.maps)
@@ -441,19 +419,13 @@ class GlScene:
 
     def close(self) -> None:
         """Frees everything; a second call does nothing."""
-        gl, programs = self._gl, self._programs
-        textures, buffers = self.textures, self._buffers
-        self._programs, self.textures, self._buffers = {}, [], []
-        for part in (self._lighting, self._dressing, self._shadow):
+        programs, buffers = self._programs, self._buffers
+        self._programs, self._buffers = {}, []
+        for part in (self._lighting, self._dressing, self._shadow, self._memory):
             if part is not None:
                 part.close()
-        for texture in textures:
-            gl.delete("glDeleteTextures", texture)
         for buffer in buffers:
-            gl.delete("glDeleteBuffers", buffer)
-        if self._array:
-            gl.delete("glDeleteVertexArrays", self._array)
-            self._array = 0
+            self._gl.delete("glDeleteBuffers", buffer)
         for program in programs.values():
             program.release()
 

@@ -17,6 +17,7 @@ from gibson_sim.geometry.exposures import Exposure, exposures
 from gibson_sim.geometry.transforms import Mat4, matrices_from_poses, matrix_from_pose
 from gibson_sim.render.batches import Batches, Loader, Progress, build_batches
 from gibson_sim.render.cache import SceneCache
+from gibson_sim.render.composition import Composition
 from gibson_sim.render.context import LIBRARY, GlContext, open_context
 from gibson_sim.render.drawing import Drawing
 from gibson_sim.render.effects import EffectsPass, changes_colors
@@ -80,21 +81,64 @@ class Renderer:
         self._tensors: Tensors | None = None
         self._drawing: Drawing | None = None
         self._thread = threading.get_ident()
-        self._links, self._revision = tuple(scene.links), scene.revision
+        self._loader, self._allowed_roots, self._cache = loader, allowed_roots, cache
+        self._own_loader: MeshLoader | None = None
+        self._detail_px, self._compress, self._cull = detail_px, compress_textures, cull
+        self.warnings: tuple[str, ...] = ()
+        """What was left out or replaced in the last load or update, since it could not be loaded; one line each."""
+        self.info: dict[str, Any] = {}
+        """What draws, and how much."""
         try:
             self._context = open_context(device, library=library)
-            batches = _loaded(scene, loader, allowed_roots, detail_px > 0.0, cache, progress)
-            self._scene = GlScene(self._context, batches, scene.light, detail_px=detail_px, compress=compress_textures, cull=cull)
             self._readback = Readback(self._context)
             self._pixel_buffers = PixelBuffers(self._context)
-            self._drawing = Drawing(self._context, self._scene)
+            self._load(scene, progress)
         except BaseException:
             self.close()
             raise
-        self.warnings: tuple[str, ...] = (*batches.warnings, *self._scene.warnings)
-        """What could not be loaded and was left out or replaced, one line each."""
-        opened = self._context.device
-        self.info: dict[str, Any] = {
+
+    def _load(self, scene: DrawnScene, progress: Progress | None) -> None:
+        """Loads a scene in place of what there was, if anything."""
+        batches = _loaded(scene, self._loader, self._allowed_roots, self._detail_px > 0.0, self._cache, progress)
+        made = GlScene(
+            self.context, batches, scene.light, detail_px=self._detail_px, compress=self._compress, cull=self._cull
+        )  # fmt: skip
+        for part in (self._drawing, self._scene):
+            if part is not None:
+                part.close()
+        self._scene, self._drawing = made, Drawing(self.context, made)
+        self._composition = Composition(scene, batches, self._loader_of, coarser=self._detail_px > 0.0)
+        self._describe(scene, batches, (*batches.warnings, *made.warnings))
+
+    def update(self, scene: DrawnScene, progress: Progress | None = None) -> bool:
+        """Takes another revision of the scene. Bodies that come and go cost little; any other change loads it anew, and returns True.
+
+        What could not be loaded of what is new stands in ``warnings``.
+
+        Args:
+            scene: what to draw from now on; states must be of its revision.
+            progress: as in the constructor, where it is loaded anew.
+
+        Raises:
+            RenderError: closed, or called from another thread.
+            GibsonSimError: the scene cannot be drawn; the one before still is.
+        """
+        self._check_usable()
+        assert self._scene is not None
+        self.context.make_current()
+        change = self._composition.change(scene)
+        if change is None:
+            self._load(scene, progress)
+            return True
+        self._scene.update(change.batches, change.same_vertices, change.same_indices)
+        self._describe(scene, change.batches, change.warnings)
+        return False
+
+    def _describe(self, scene: DrawnScene, batches: Batches, warnings: tuple[str, ...]) -> None:
+        assert self._scene is not None
+        self._links, self._revision, self.warnings = tuple(scene.links), scene.revision, warnings
+        opened = self.context.device
+        self.info = {
             "renderer": opened.renderer,
             "vendor": opened.vendor,
             "version": opened.version,
@@ -106,7 +150,15 @@ class Renderer:
             "textures": len(batches.textures),
             "texture_mb": round(self._scene.texture_bytes / 1e6, 1),
         }
-        """What draws, and how much."""
+
+    def _loader_of(self, scene: DrawnScene) -> Loader:
+        """Returns what reads the meshes of bodies that come later, each file once."""
+        if self._loader is not None:
+            return self._loader
+        roots = set(_roots(scene, self._allowed_roots))
+        if self._own_loader is None or not roots <= set(self._own_loader.roots):
+            self._own_loader = MeshLoader(sorted(roots | set(self._own_loader.roots if self._own_loader else ())))
+        return self._own_loader.shape
 
     def render(self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None = None) -> list[Frame]:
         """Returns one frame for each camera, with the stamp of the state; the arrays belong to the caller.
@@ -179,10 +231,8 @@ class Renderer:
 
         For arguments and errors see ``render``.
         """
-        if self._drawing is None or self._context is None:
-            raise RenderError("the renderer is closed; make a new one")
-        if threading.get_ident() != self._thread:
-            raise RenderError("the renderer belongs to the thread that made it; draw there, or make one for each thread")
+        self._check_usable()
+        assert self._drawing is not None and self._context is not None
         T_world_links = self._link_matrices(state)
         before = T_world_links if previous is None else self._link_matrices(previous)
         poses = [self._camera_matrix(camera, T_world_links) for camera in cameras]
@@ -198,6 +248,12 @@ class Renderer:
                 for k, shot in zip(own, shots, strict=True):
                     self._develop(target, shot, plans[k] if shot not in at_once else (), before)
                 yield target, shots, own
+
+    def _check_usable(self) -> None:
+        if self._drawing is None or self._context is None:
+            raise RenderError("the renderer is closed; make a new one")
+        if threading.get_ident() != self._thread:
+            raise RenderError("the renderer belongs to the thread that made it; draw there, or make one for each thread")
 
     def _draw(
         self, target: Target, shots: Sequence[Shot], T_world_links: NDArray[np.float64], before: NDArray[np.float64]
@@ -242,6 +298,10 @@ class Renderer:
                 f"the state has {len(state.links)} links, others than the {len(self._links)} of the scene that is loaded; load its scene"
             )
         return np.concatenate([np.eye(4)[None], matrices_from_poses(state.positions, state.quats_xyzw)])
+
+    def camera_matrix(self, state: SceneState, camera: CameraSpec) -> Mat4:
+        """Returns T_world_camera, (4, 4), optical frame, at a state; for errors see ``render``."""
+        return self._camera_matrix(camera, self._link_matrices(state))
 
     def _camera_matrix(self, camera: CameraSpec, T_world_links: NDArray[np.float64]) -> Mat4:
         """Returns T_world_camera, (4, 4)."""

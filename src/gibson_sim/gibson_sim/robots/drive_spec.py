@@ -1,42 +1,200 @@
-"""How a robot drives: pure values."""
+"""How a robot drives: pure values, one class for each way to steer.
+
+All are in the frame of the base (x forward, y left). ``robots.drives`` has the arithmetic, ``robots.load_drive`` reads the files.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.types import Vec3
+
+DriveKind = Literal["differential", "skid_steer", "omni", "ackermann"]
 
 
-@dataclass(frozen=True, slots=True)
-class DriveSpec:
-    """A differential drive: two wheels on one axle, driven by velocity."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Limits:
+    """What all drives have."""
 
-    left_joint: str
-    right_joint: str
     wheel_radius: float
     """Metres."""
-    wheel_separation: float
-    """Metres between the contact points of the wheels."""
     max_linear: float = 0.5
     """m/s."""
     max_angular: float = 2.0
     """rad/s."""
     max_linear_acceleration: float = 1.0
     """m/s^2, speeding up and slowing down."""
+    max_wheel_torque: float = 10.0
+    """N m, of each driven wheel."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DifferentialSpec(_Limits):
+    """Wheels on the left and on the right, driven by velocity: one a side (differential) or more (skid steer)."""
+
+    left_joints: tuple[str, ...]
+    right_joints: tuple[str, ...]
+    """As many as on the left."""
+    wheel_separation: float
+    """Metres between the contact points of the wheels; skid steer: the distance at which wheels without slip would turn as it does."""
+    kind: DriveKind = "differential"
     max_angular_acceleration: float = 4.0
     """rad/s^2."""
-    max_wheel_torque: float = 10.0
-    """N m."""
-    left_sign: float = 1.0
-    """+1 when a positive turn of the left joint rolls the robot forward, -1 when its axis points the other way."""
-    right_sign: float = 1.0
+    traction: float = 0.8
+    """Skid steer: greatest force of all wheels together along the floor, as a fraction of what presses them onto it."""
+    left_signs: tuple[float, ...] = ()
+    """For each joint +1 when a positive turn rolls the robot forward, -1 when its axis points the other way; empty = all +1."""
+    right_signs: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in (
-            "wheel_radius", "wheel_separation", "max_linear", "max_angular",
-            "max_linear_acceleration", "max_angular_acceleration", "max_wheel_torque",
-        ):  # fmt: skip
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise ConfigError(f"drive: {name} is {value!r}, must be a finite number above 0")
+        _check_positive(
+            self, "wheel_radius", "wheel_separation", "max_linear", "max_angular",
+            "max_linear_acceleration", "max_angular_acceleration", "max_wheel_torque", "traction",
+        )  # fmt: skip
+        _check_joints((*self.left_joints, *self.right_joints))
+        left, right = len(self.left_joints), len(self.right_joints)
+        if left != right or left < 1:
+            raise ConfigError(f"drive: {left} left and {right} right wheels, must be one a side or more, and as many on both")
+
+
+@dataclass(frozen=True, slots=True)
+class OmniWheel:
+    """A wheel with rollers around it: mecanum, or an omni wheel."""
+
+    joint: str
+    position: tuple[float, float]
+    """x, y of its hub in the base frame, metres."""
+    heading: float
+    """Direction in which a positive turn of the joint rolls it, radians from x, counter-clockwise."""
+    roller: float = 0.0
+    """From ``heading`` to the axis of the roller that touches the floor, radians, counter-clockwise seen from above; 0: an omni wheel."""
+
+    def speed_row(self, radius: float) -> Vec3:
+        """Returns what to multiply (x, y, yaw) velocities of the base with, and add, for the joint's speed, rad/s.
+
+        Along its axis a roller cannot roll: there floor and rim move alike.
+        """
+        along_x, along_y = math.cos(self.heading + self.roller), math.sin(self.heading + self.roller)
+        grip = radius * math.cos(self.roller)
+        x, y = self.position
+        return along_x / grip, along_y / grip, (x * along_y - y * along_x) / grip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OmniSpec(_Limits):
+    """Three or more wheels with rollers, which together move the base in every direction."""
+
+    wheels: tuple[OmniWheel, ...]
+    max_lateral: float = 0.5
+    """m/s."""
+    max_lateral_acceleration: float = 1.0
+    """m/s^2."""
+    max_angular_acceleration: float = 4.0
+    """rad/s^2."""
+    traction: float = 0.5
+    """Greatest force of all wheels together along the floor, as a fraction of what presses them onto it."""
+
+    def __post_init__(self) -> None:
+        _check_positive(
+            self, "wheel_radius", "max_linear", "max_lateral", "max_angular", "max_linear_acceleration",
+            "max_lateral_acceleration", "max_angular_acceleration", "max_wheel_torque", "traction",
+        )  # fmt: skip
+        _check_joints(tuple(wheel.joint for wheel in self.wheels))
+        for wheel in self.wheels:
+            if abs(math.cos(wheel.roller)) < 0.1:
+                raise ConfigError(
+                    f"drive: rollers of {wheel.joint!r} stand at {math.degrees(wheel.roller):g} degrees, so that its motor turns "
+                    "them only; 0 is an omni wheel, 45 or -45 mecanum"
+                )
+        if len(self.wheels) < 3 or np.linalg.matrix_rank(self.wheel_matrix(), tol=1e-3 / self.wheel_radius) < 3:
+            raise ConfigError(
+                f"drive: {len(self.wheels)} wheels as they stand cannot move the base in every direction; "
+                "give three or more, with rollers or headings that differ"
+            )
+
+    @property
+    def kind(self) -> DriveKind:
+        """What ``drive.type`` says in the file."""
+        return "omni"
+
+    def wheel_matrix(self) -> NDArray[np.float64]:
+        """Returns the (N, 3) matrix that takes (x m/s, y m/s, yaw rad/s) of the base to speeds of the joints, rad/s."""
+        return np.array([wheel.speed_row(self.wheel_radius) for wheel in self.wheels]).reshape(-1, 3)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AckermannSpec(_Limits):
+    """A car: two driven wheels behind, two steered ones in front."""
+
+    left_joint: str
+    """Of the driven wheels."""
+    right_joint: str
+    left_steering_joint: str
+    right_steering_joint: str
+    wheelbase: float
+    """Metres from the rear axle forward to the steering joints."""
+    wheel_separation: float
+    """Metres between the driven wheels."""
+    steering_separation: float
+    """Metres between the steering joints."""
+    max_steering: float
+    """Radians, of the inner wheel."""
+    max_steering_rate: float = 1.5
+    """rad/s."""
+    max_steering_torque: float = 20.0
+    """N m, of each steering joint."""
+    min_turning_radius: float = 0.0
+    """Metres from the middle of the rear axle to the centre of the tightest turn; ``max_steering`` may make it larger."""
+    rear_axle_x: float = 0.0
+    """Metres: where in the base frame the rear axle is."""
+    left_sign: float = 1.0
+    """+1 when a positive turn of the left joint rolls the car forward, -1 when its axis points the other way."""
+    right_sign: float = 1.0
+    left_steering_sign: float = 1.0
+    """+1 when a positive turn of the joint steers to the left."""
+    right_steering_sign: float = 1.0
+
+    def __post_init__(self) -> None:
+        _check_positive(
+            self, "wheel_radius", "wheelbase", "wheel_separation", "steering_separation", "max_linear", "max_angular",
+            "max_linear_acceleration", "max_wheel_torque", "max_steering", "max_steering_rate", "max_steering_torque",
+        )  # fmt: skip
+        _check_joints((self.left_joint, self.right_joint, self.left_steering_joint, self.right_steering_joint))
+        if self.max_steering > math.radians(80.0):
+            raise ConfigError(f"drive: max_steering is {math.degrees(self.max_steering):g} degrees, must be at most 80")
+        if not (math.isfinite(self.min_turning_radius) and self.min_turning_radius >= 0.0):
+            raise ConfigError(f"drive: min_turning_radius is {self.min_turning_radius!r} m, must be a finite number, 0 or more")
+
+    @property
+    def kind(self) -> DriveKind:
+        """What ``drive.type`` says in the file."""
+        return "ackermann"
+
+    @property
+    def max_curvature(self) -> float:
+        """1/m, of the path of the rear axle's middle in the tightest turn."""
+        inner = math.tan(self.max_steering)
+        tightest = inner / (self.wheelbase + inner * self.steering_separation / 2)
+        return tightest if self.min_turning_radius == 0.0 else min(tightest, 1.0 / self.min_turning_radius)
+
+
+DriveSpec = DifferentialSpec | OmniSpec | AckermannSpec
+
+
+def _check_positive(spec: DriveSpec, *names: str) -> None:
+    for name in names:
+        value = getattr(spec, name)
+        if not (math.isfinite(value) and value > 0):
+            raise ConfigError(f"drive: {name} is {value!r}, must be a finite number above 0")
+
+
+def _check_joints(names: tuple[str, ...]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(f"drive: joint {name!r} is named twice; each joint has one task")

@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from gibson_sim.errors import ConfigError, RobotError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
 from gibson_sim.resources import find_robot
+from gibson_sim.robots.body import model_visuals
 from gibson_sim.robots.load_cameras import read_cameras
 from gibson_sim.robots.load_drive import read_drive
-from gibson_sim.robots.load_sensors import read_lidar
+from gibson_sim.robots.load_sensors import SENSOR_KEYS, read_sensors
 from gibson_sim.robots.rigid import MOVING_TYPES
 from gibson_sim.robots.settings import NAME, Settings, read_yaml
-from gibson_sim.robots.spec import RobotSpec, Shape, VisualSpec
+from gibson_sim.robots.spec import RobotSpec, Shape
 from gibson_sim.robots.urdf import UrdfModel, read_urdf
 from gibson_sim.types import (
     Pose,
@@ -27,7 +28,7 @@ from gibson_sim.types import (
 logger = logging.getLogger(__name__)
 
 ROBOT_FILE = "robot.yaml"
-_ROBOT_KEYS = ("urdf", "base_link", "radius", "height", "drive", "cameras", "lidar")
+_ROBOT_KEYS = ("urdf", "base_link", "radius", "height", "drive", "cameras", *SENSOR_KEYS)
 
 
 def load_robot(
@@ -65,14 +66,14 @@ def load_robot(
             urdf=model.path,
             base_link=base,
             links=tuple(link.name for link in model.links),
-            visuals=_visuals(model, name),
+            visuals=model_visuals(model, name),
             fixed_transforms=tuple((j.parent, j.child, j.pose) for j in model.joints if j.kind == "fixed"),
             moving_joints=tuple((j.name, j.parent, j.child) for j in model.joints if j.kind != "fixed"),
             drive=read_drive(robot, model),
             radius=radius,
             height=height,
             cameras=read_cameras(robot, model, name),
-            lidar=read_lidar(robot, model, name),
+            sensors=read_sensors(robot, model, name),
             start=start or Pose(),
         )
     except ConfigError as error:
@@ -89,14 +90,6 @@ def _robot_file(path_or_name: Path | str, find: Callable[[str], Path] | None) ->
     if not path.is_file():
         raise RobotError(f"no robot at {path}; give a {ROBOT_FILE}, a folder with one, or the name of a known robot")
     return path.absolute()
-
-
-def _visuals(model: UrdfModel, name: str) -> tuple[VisualSpec, ...]:
-    return tuple(
-        VisualSpec(f"{name}/{link.name}/{i}", f"{name}/{link.name}", visual.shape, visual.pose, visual.color)
-        for link in model.links
-        for i, visual in enumerate(link.visuals)
-    )
 
 
 def _size(model: UrdfModel, robot: Settings) -> tuple[float, float]:

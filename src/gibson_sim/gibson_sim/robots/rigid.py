@@ -85,8 +85,11 @@ def rigid_groups(model: UrdfModel) -> tuple[tuple[RigidGroup, ...], tuple[str, .
     return tuple(groups.values()), tuple(warnings)
 
 
-def physics_urdf(model: UrdfModel, groups: tuple[RigidGroup, ...]) -> str:
-    """Returns a URDF with one link per group: masses, collision shapes with absolute paths, joints; nothing to be drawn."""
+def physics_urdf(model: UrdfModel, groups: tuple[RigidGroup, ...], *, concave: bool = False) -> str:
+    """Returns a URDF with one link per group: masses, collision shapes with absolute paths, joints; nothing to be drawn.
+
+    ``concave``: meshes are as they are, hollow; only for what never moves. Otherwise the engine makes convex hulls of them.
+    """
     robot = ET.Element("robot", name=model.name)
     for group in groups:
         link = ET.SubElement(robot, "link", name=group.name)
@@ -99,7 +102,7 @@ def physics_urdf(model: UrdfModel, groups: tuple[RigidGroup, ...]) -> str:
         parts = {"ixx": i[0, 0], "ixy": i[0, 1], "ixz": i[0, 2], "iyy": i[1, 1], "iyz": i[1, 2], "izz": i[2, 2]}
         ET.SubElement(inertial, "inertia", {key: _text(value) for key, value in parts.items()})
         for shape, T_group_shape in group.collisions:
-            collision = ET.SubElement(link, "collision")
+            collision = ET.SubElement(link, "collision", {"concave": "yes"} if concave else {})
             _origin(collision, T_group_shape)
             _geometry(collision, shape)
         if group.joint is not None:

@@ -1,15 +1,25 @@
-"""What sensors other than cameras a robot carries: pure values."""
+"""What sensors other than cameras a robot carries: pure values. Every noise is off unless it is given.
+
+``name`` is the topic, relative to the robot's namespace; ``link`` is ``<body>/<link>``.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+import re
+from dataclasses import dataclass, field
 
 from gibson_sim.errors import ConfigError
+
+TOPIC = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
+"""Names that ROS can use as a relative topic."""
+MAX_RAYS = 1_000_000
+TURN = 2.0 * math.pi
 
 
 @dataclass(frozen=True, slots=True)
 class LidarSpec:
-    """A planar lidar: one turn of evenly spaced rays, the first along the link's x axis, counter-clockwise."""
+    """A planar lidar: evenly spaced rays about the link's z axis, counter-clockwise, all cast at the same instant."""
 
     link: str
     """``<body>/<link>``; the rays leave from the origin of this link."""
@@ -19,14 +29,278 @@ class LidarSpec:
     range_max: float = 12.0
     """Metres; no return nearer than this is reported as +inf (REP 117)."""
     rate_hz: float = 10.0
+    name: str = "scan"
+    angle_min: float = 0.0
+    """Direction of the first ray, radians from the link's x axis."""
+    fov: float = TURN
+    """Radians from the first ray to the last, in (0, 2 pi]; in a full turn the last ray is one step before the first."""
+    range_noise: float = 0.0
+    """Standard deviation of a range, metres."""
+    resolution: float = 0.0
+    """Ranges are multiples of this, metres; 0 = exact."""
+    dropout: float = 0.0
+    """Part of the rays that do not return, at random, 0 to 1."""
+    seed: int = 0
 
     def __post_init__(self) -> None:
-        if not 1 <= self.beams <= 100_000:
-            raise ConfigError(f"lidar on {self.link!r}: beams is {self.beams}, must be 1 to 100000")
-        if not 0.0 <= self.range_min < self.range_max:
+        what = _name(self.name, self.link)
+        _ranging(what, self)
+        if not 1 <= self.beams <= MAX_RAYS:
+            raise ConfigError(f"{what}: beams is {self.beams}, must be 1 to {MAX_RAYS}")
+        if not 0.0 < self.fov <= TURN + 1e-9:
+            raise ConfigError(f"{what}: fov is {self.fov:g} rad, must be in (0, 2 pi]; was it given in degrees?")
+        if not abs(self.angle_min) <= TURN:
+            raise ConfigError(f"{what}: angle_min is {self.angle_min:g} rad, must be -2 pi to 2 pi; was it given in degrees?")
+        if self.beams < 2 and not self.is_full_turn:
+            raise ConfigError(f"{what}: beams is {self.beams}, must be 2 or more to span a field of view")
+
+    @property
+    def is_full_turn(self) -> bool:
+        """Whether the ray after the last would be the first again."""
+        return self.fov >= TURN - 1e-9
+
+    @property
+    def angle_increment(self) -> float:
+        """Radians from one ray to the next."""
+        return TURN / self.beams if self.is_full_turn else self.fov / (self.beams - 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Lidar3DSpec:
+    """A spinning lidar of many channels; all rays of a turn are cast at the same instant."""
+
+    link: str
+    """``<body>/<link>``; the rays leave from the origin of this link."""
+    name: str = "lidar/points"
+    channels: int = 16
+    """Rings, evenly between the two elevations."""
+    samples: int = 720
+    """Rays of a ring in one turn, the first along the link's x axis, then counter-clockwise."""
+    elevation_min: float = math.radians(-15.0)
+    """Lowest ring, radians above the link's x-y plane."""
+    elevation_max: float = math.radians(15.0)
+    """Highest ring; the only one where there is one channel is in the middle."""
+    range_min: float = 0.3
+    """Metres; nearer returns give no point."""
+    range_max: float = 100.0
+    """Metres; farther returns give no point."""
+    rate_hz: float = 10.0
+    range_noise: float = 0.0
+    """Standard deviation of a range, metres."""
+    resolution: float = 0.0
+    """Ranges are multiples of this, metres; 0 = exact."""
+    dropout: float = 0.0
+    """Part of the rays that do not return, at random, 0 to 1."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        what = _name(self.name, self.link)
+        _ranging(what, self)
+        if not (1 <= self.channels <= 65_535 and self.samples >= 1 and self.channels * self.samples <= MAX_RAYS):
             raise ConfigError(
-                f"lidar on {self.link!r}: range_min is {self.range_min:g} and range_max {self.range_max:g}, "
-                "must be 0 <= range_min < range_max"
+                f"{what}: channels is {self.channels} and samples {self.samples}, must be 1 or more, at most {MAX_RAYS} rays together"
             )
-        if not 0.0 < self.rate_hz <= 1000.0:
-            raise ConfigError(f"lidar on {self.link!r}: rate_hz is {self.rate_hz:g}, must be in (0, 1000]")
+        if not -math.pi / 2 <= self.elevation_min <= self.elevation_max <= math.pi / 2:
+            raise ConfigError(
+                f"{what}: elevation_min is {self.elevation_min:g} and elevation_max {self.elevation_max:g} rad, must be "
+                "-pi/2 <= elevation_min <= elevation_max <= pi/2; were they given in degrees?"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSpec:
+    """Gyroscopes, accelerometers and, unless told otherwise, an orientation (REP 145)."""
+
+    link: str
+    """``<body>/<link>``: it measures at the origin of this link, along its axes."""
+    name: str = "imu"
+    rate_hz: float = 100.0
+    gyro_noise: float = 0.0
+    """White noise density, rad/s/sqrt(Hz): the standard deviation of a sample is this times the root of the rate."""
+    accel_noise: float = 0.0
+    """White noise density, m/s^2/sqrt(Hz)."""
+    gyro_bias: float = 0.0
+    """Standard deviation of the bias at the start, rad/s."""
+    accel_bias: float = 0.0
+    """Standard deviation of the bias at the start, m/s^2."""
+    gyro_bias_walk: float = 0.0
+    """Random walk of the bias, rad/s/sqrt(s): its standard deviation after t seconds is this times the root of t."""
+    accel_bias_walk: float = 0.0
+    """Random walk of the bias, m/s^2/sqrt(s)."""
+    orientation: bool = True
+    """Whether the (exact) orientation in the world frame is reported."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        what = _name(self.name, self.link)
+        _rate(what, self.rate_hz)
+        _seed(what, self.seed)
+        for key in ("gyro_noise", "accel_noise", "gyro_bias", "accel_bias", "gyro_bias_walk", "accel_bias_walk"):
+            _not_negative(what, key, getattr(self, key))
+
+
+@dataclass(frozen=True, slots=True)
+class BumperSpec:
+    """Says when something presses against the robot from the side; what carries it, or lies on it, does not count."""
+
+    link: str
+    """``<body>/<link>`` in whose frame the force is reported."""
+    links: tuple[str, ...] = ()
+    """Parts that feel, without the body name: the first link of each group that fixed joints hold together; () = the whole robot."""
+    name: str = "bumper"
+    threshold: float = 1.0
+    """N, above 0: less force than this, all contacts together, is not felt."""
+    max_slope: float = math.radians(45.0)
+    """Radians, in [0, pi/2): a contact whose normal is nearer to the vertical than this is a floor or a load."""
+    rate_hz: float = 30.0
+
+    def __post_init__(self) -> None:
+        what = _name(self.name, self.link)
+        _rate(what, self.rate_hz)
+        if not (math.isfinite(self.threshold) and self.threshold > 0.0):
+            raise ConfigError(f"{what}: threshold is {self.threshold:g} N, must be a finite number above 0")
+        if not 0.0 <= self.max_slope < math.pi / 2:
+            raise ConfigError(f"{what}: max_slope is {self.max_slope:g} rad, must be in [0, pi/2); was it given in degrees?")
+
+
+@dataclass(frozen=True, slots=True)
+class BatterySpec:
+    """A battery whose voltage falls evenly with its charge. It is never recharged, and an empty one does not stop the robot."""
+
+    name: str = "battery_state"
+    capacity_ah: float = 5.2
+    """Charge of a full battery, A h."""
+    voltage_full: float = 12.6
+    """V."""
+    voltage_empty: float = 9.9
+    """V."""
+    idle_w: float = 10.0
+    """Power that everything but the motors takes, W."""
+    efficiency: float = 0.6
+    """Mechanical power of the joints over what their motors take, in (0, 1]; braking gives nothing back."""
+    torque_w: float = 0.0
+    """Power that motors take on top, moving or not, W for each N m."""
+    start: float = 1.0
+    """Charge at the start, 0 to 1 of the capacity."""
+    warn_below: float = 0.2
+    """Charge, 0 to 1 of the capacity, below which it is low."""
+    rate_hz: float = 1.0
+    """Reports a second; the motors' power is sampled as often."""
+
+    def __post_init__(self) -> None:
+        what = _name(self.name, "")
+        _rate(what, self.rate_hz)
+        if not (math.isfinite(self.capacity_ah) and self.capacity_ah > 0.0):
+            raise ConfigError(f"{what}: capacity_ah is {self.capacity_ah:g}, must be a finite number above 0")
+        if not 0.0 < self.voltage_empty <= self.voltage_full < math.inf:
+            raise ConfigError(
+                f"{what}: voltage_empty is {self.voltage_empty:g} and voltage_full {self.voltage_full:g} V, "
+                "must be 0 < voltage_empty <= voltage_full"
+            )
+        for key in ("idle_w", "torque_w"):
+            _not_negative(what, key, getattr(self, key))
+        if not 0.0 < self.efficiency <= 1.0:
+            raise ConfigError(f"{what}: efficiency is {self.efficiency:g}, must be in (0, 1]")
+        for key in ("start", "warn_below"):
+            _part(what, key, getattr(self, key))
+
+
+@dataclass(frozen=True, slots=True)
+class WheelOdometrySpec:
+    """What is wrong with the odometry of the wheels.
+
+    The alphas are those of the odometry model in Thrun, Burgard and Fox, "Probabilistic Robotics" (2005), for motions of 1 m and
+    1 rad. Longer motions add up as independent ones do (a random walk), so that the physics rate does not matter.
+    """
+
+    encoder_ticks: int = 0
+    """Ticks of the encoder in one turn of a wheel; 0 = exact."""
+    left_radius_factor: float = 1.0
+    """Radius that the odometry takes the left wheels to have, over what they have."""
+    right_radius_factor: float = 1.0
+    separation_factor: float = 1.0
+    """Distance of the wheels that the odometry takes them to have, over what they have."""
+    alpha1: float = 0.0
+    """Variance of the measured rotation that comes of rotation, rad^2 for each rad."""
+    alpha2: float = 0.0
+    """Variance of the measured rotation that comes of translation, rad^2 for each m."""
+    alpha3: float = 0.0
+    """Variance of the measured translation that comes of translation, m^2 for each m."""
+    alpha4: float = 0.0
+    """Variance of the measured translation that comes of rotation, m^2 for each rad."""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        what = "wheel_odometry"
+        _seed(what, self.seed)
+        if not 0 <= self.encoder_ticks <= 100_000_000:
+            raise ConfigError(f"{what}: encoder_ticks is {self.encoder_ticks}, must be 0 (exact) to 100000000")
+        for key in ("left_radius_factor", "right_radius_factor", "separation_factor"):
+            if not 0.5 <= getattr(self, key) <= 2.0:
+                raise ConfigError(f"{what}: {key} is {getattr(self, key):g}, must be 0.5 to 2; 1 = no error")
+        for key in ("alpha1", "alpha2", "alpha3", "alpha4"):
+            _not_negative(what, key, getattr(self, key))
+
+
+@dataclass(frozen=True, slots=True)
+class SensorSpecs:
+    """All sensors of a robot other than cameras."""
+
+    lidars: tuple[LidarSpec, ...] = ()
+    lidars_3d: tuple[Lidar3DSpec, ...] = ()
+    imus: tuple[ImuSpec, ...] = ()
+    bumpers: tuple[BumperSpec, ...] = ()
+    battery: BatterySpec | None = None
+    wheel_odometry: WheelOdometrySpec = field(default_factory=WheelOdometrySpec)
+
+    def __post_init__(self) -> None:
+        names = self.names
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ConfigError(f"sensors: {', '.join(twice)} is the name of more than one; names are topics and must differ")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all sensors."""
+        battery = () if self.battery is None else (self.battery,)
+        return tuple(spec.name for spec in (*self.lidars, *self.lidars_3d, *self.imus, *self.bumpers, *battery))
+
+
+def _name(name: str, link: str) -> str:
+    """Returns what a complaint begins with."""
+    what = f"sensor {name!r} on {link!r}" if link else f"sensor {name!r}"
+    if not TOPIC.fullmatch(name):
+        raise ConfigError(f"{what}: the name is a topic; use letters, digits, _ and /, a letter first")
+    return what
+
+
+def _ranging(what: str, spec: LidarSpec | Lidar3DSpec) -> None:
+    if not 0.0 <= spec.range_min < spec.range_max < math.inf:
+        raise ConfigError(
+            f"{what}: range_min is {spec.range_min:g} and range_max {spec.range_max:g}, must be 0 <= range_min < range_max, finite"
+        )
+    _rate(what, spec.rate_hz)
+    _seed(what, spec.seed)
+    for key in ("range_noise", "resolution"):
+        _not_negative(what, key, getattr(spec, key))
+    _part(what, "dropout", spec.dropout)
+
+
+def _rate(what: str, rate_hz: float) -> None:
+    if not 0.0 < rate_hz <= 1000.0:
+        raise ConfigError(f"{what}: rate_hz is {rate_hz:g}, must be in (0, 1000]")
+
+
+def _seed(what: str, seed: int) -> None:
+    if not 0 <= seed < 2**63:
+        raise ConfigError(f"{what}: seed is {seed}, must be 0 to {2**63 - 1}")
+
+
+def _not_negative(what: str, key: str, value: float) -> None:
+    if not 0.0 <= value < math.inf:
+        raise ConfigError(f"{what}: {key} is {value:g}, must be a finite number, 0 or more")
+
+
+def _part(what: str, key: str, value: float) -> None:
+    if not 0.0 <= value <= 1.0:
+        raise ConfigError(f"{what}: {key} is {value:g}, must be 0 to 1")

@@ -9,7 +9,7 @@ from typing import Literal
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.robots.drive_spec import DriveSpec
-from gibson_sim.robots.sensor_specs import LidarSpec
+from gibson_sim.robots.sensor_specs import SensorSpecs
 from gibson_sim.types import CameraSpec, Pose, Rgba, Vec3
 
 ShapeKind = Literal["mesh", "box", "sphere", "cylinder"]
@@ -119,6 +119,13 @@ class RobotSpec:
     height: float
     """Metres above the floor."""
     cameras: tuple[CameraSpec, ...] = ()
-    lidar: LidarSpec | None = None
+    sensors: SensorSpecs = field(default_factory=SensorSpecs)
+    """Sensors other than cameras."""
     start: Pose = field(default_factory=Pose)
     """T_world_base at load and after a reset."""
+    namespace: str = ""
+    """Of all its topics; empty = none."""
+    frame_prefix: str = ""
+    """Stands before the names of its tf frames, e.g. ``left/``; empty = frames as in the URDF."""
+    own_tf: bool = False
+    """Its transforms are on ``tf`` and ``tf_static`` in its namespace, not on the common ``/tf``."""

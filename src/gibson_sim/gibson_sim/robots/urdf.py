@@ -9,18 +9,22 @@ from __future__ import annotations
 import math
 import os
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from gibson_sim.errors import RobotError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, pose_from_xyz_rpy
+from gibson_sim.robots.omissions import Omission, OmissionKind
 from gibson_sim.robots.spec import Shape
 from gibson_sim.types import Pose, Rgba, Vec3
 
 JOINT_TYPES = ("fixed", "continuous", "revolute", "prismatic", "floating", "planar")
+FindMesh = Callable[[str, Path], Path | None]
+"""Takes what a URDF names and the URDF's path to the absolute path of a file, or None when there is none."""
 _PACKAGE = "package://"
 _FILE = "file://"
+_LEVELS_UP = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,8 +135,12 @@ class UrdfModel:
         return out
 
 
-def read_urdf(path: Path | str) -> UrdfModel:
+def read_urdf(path: Path | str, find: FindMesh | None = None) -> UrdfModel:
     """Reads the URDF at ``path``.
+
+    Args:
+        path: the file.
+        find: finds its meshes; None = ``resolve_mesh``.
 
     Raises:
         RobotError: the file is not there, is no URDF, or its tree is broken; one line.
@@ -146,14 +154,34 @@ def read_urdf(path: Path | str) -> UrdfModel:
         raise RobotError(f"{path}: cannot be read: {error.strerror}") from error
     except ET.ParseError as error:
         raise RobotError(f"{path}: is not XML: {error}") from error
-    return _Reader(path).model(top)
+    return _Reader(path, find or resolve_mesh).model(top)
+
+
+def parse_urdf(text: str | bytes, source: Path, find: FindMesh | None = None) -> UrdfModel:
+    """Reads a URDF that is at hand as text.
+
+    Args:
+        text: the XML.
+        source: where it comes from, for messages and for names relative to it; need not exist.
+        find: finds its meshes; None = ``resolve_mesh``.
+
+    Raises:
+        RobotError: it is no URDF, or its tree is broken; one line.
+    """
+    try:
+        top = ET.fromstring(text)
+    # A text that says it is UTF-16 is no such thing.
+    except (ET.ParseError, ValueError, LookupError) as error:
+        raise RobotError(f"{source}: is not XML: {error}") from error
+    return _Reader(source, find or resolve_mesh).model(top)
 
 
 class _Reader:
     """Turns the XML of one file into values; gathers warnings on the way."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, find: FindMesh) -> None:
         self.path = path.absolute()
+        self.find = find
         self.warnings: list[str] = []
         self.colors: dict[str, Rgba] = {}
 
@@ -300,12 +328,14 @@ class _Reader:
         if item.tag == "mesh":
             scale = self.vector(item, "scale", where) if item.get("scale") else (1.0, 1.0, 1.0)
             name = self.text(item, "filename")
-            found = resolve_mesh(name, self.path)
+            found = self.find(name, self.path)
             if found is not None:
                 return Shape("mesh", scale, str(found))
-            self.warnings.append(f"{self.path.name}: {where}: mesh {name} is not there; left out")
+            text = f"{self.path.name}: {where}: mesh {name} is not there; left out"
+            self.warnings.append(Omission(text, OmissionKind.MISSING_ASSET))
             return None
-        self.warnings.append(f"{self.path.name}: {where}: shape <{item.tag}> is not known; left out")
+        text = f"{self.path.name}: {where}: shape <{item.tag}> is not known; left out"
+        self.warnings.append(Omission(text, OmissionKind.UNSUPPORTED_ELEMENT))
         return None
 
     def color(self, material: ET.Element | None, where: str) -> Rgba | None:
@@ -366,13 +396,14 @@ def resolve_mesh(name: str, urdf: Path) -> Path | None:
     """Returns the absolute path of the mesh that a URDF names, or None when there is no such file.
 
     ``package://<package>/<rest>`` is looked for beside the URDF, in its parent folders, and in ``$AMENT_PREFIX_PATH``; other
-    names are relative to the URDF's folder.
+    names are relative to the URDF's folder, or to one of the three above it.
     """
     if name.startswith(_FILE):
         name = name[len(_FILE) :]
     if not name.startswith(_PACKAGE):
-        path = Path(os.path.normpath(urdf.parent / name))
-        return path if path.is_file() else None
+        above = [folder for folder in urdf.parents[1 : _LEVELS_UP + 1] if folder != folder.parent]
+        paths = (Path(os.path.normpath(folder / name)) for folder in (urdf.parent, *above))
+        return next((path for path in paths if path.is_file()), None)
     package, _, rest = name[len(_PACKAGE) :].partition("/")
     candidates: list[Path] = []
     for folder in urdf.parents:

@@ -8,6 +8,8 @@ CLOCK = "/clock"
 TF = "/tf"
 TF_STATIC = "/tf_static"
 CMD_VEL = "cmd_vel"
+JOINT_TRAJECTORY = "joint_trajectory"
+JOINT_COMMAND = "joint_command"
 ODOM = "odom"
 GROUND_TRUTH = "ground_truth/odom"
 JOINT_STATES = "joint_states"
@@ -16,8 +18,21 @@ ROBOT_DESCRIPTION = "robot_description"
 SCENE = "scene"
 SCENE_STATE = "scene_state"
 DIAGNOSTICS = "/diagnostics"
+MAP = "map"
+EPOCH = "simulation_epoch"
+REAL_TIME_FACTOR = "real_time_factor"
 
 ODOM_FRAME = "odom"
+
+
+def link_name(name: str) -> str:
+    """Returns the tf frame of ``<body>/<link>``, without a prefix."""
+    return name.rpartition("/")[2]
+
+
+def bumper_wrench(bumper: str) -> str:
+    """Returns the topic of the force on a bumper."""
+    return f"{bumper}/wrench"
 
 
 def camera_topics(camera: str) -> dict[str, str]:
@@ -28,3 +43,36 @@ def camera_topics(camera: str) -> dict[str, str]:
         topics[output] = f"{folder}/image_raw"
         topics[f"{output}_info"] = f"{folder}/camera_info"
     return topics
+
+
+def compressed_topic(topic: str) -> str:
+    """Returns where image_transport puts the JPEG or PNG of an image topic."""
+    return f"{topic}/compressed"
+
+
+def compressed_depth_topic(topic: str) -> str:
+    """Returns where image_transport puts the compressed form of a depth image topic."""
+    return f"{topic}/compressedDepth"
+
+
+def points_topic(camera: str) -> str:
+    """Returns the topic of the point cloud of a camera's depth."""
+    return f"{camera}/depth/points"
+
+
+def is_derived(topic: str) -> bool:
+    """Returns whether a topic says again, in another form, what another topic of the same camera says."""
+    return topic.endswith(
+        ("/compressed", "/compressedDepth", "/depth/points", "/depth_registered/image_raw", "/depth_registered/camera_info")
+    )
+
+
+def label_info_topic(camera: str, output: str) -> str:
+    """Returns the latched topic that names the numbers of a label output."""
+    return f"{camera}/{output}/label_info"
+
+
+def registered_depth_topics(camera: str) -> tuple[str, str]:
+    """Returns the topics of a camera's depth as another camera sees it, and of that camera's camera_info."""
+    folder = f"{camera}/depth_registered"
+    return f"{folder}/image_raw", f"{folder}/camera_info"

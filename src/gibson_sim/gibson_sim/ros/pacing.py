@@ -20,6 +20,15 @@ class Pacer:
         self.lost_ns = 0
         """Wall time given up so far, nanoseconds."""
 
+    def restart(self) -> None:
+        """Starts the clock anew at the next call of ``due``: time stood still, or jumped."""
+        self._start_ns, self._ticks = None, 0
+
+    def set_rate(self, rate: float) -> None:
+        """Goes on at another pace; 0 = as fast as possible."""
+        self._rate = rate
+        self.restart()
+
     def due(self, now_ns: int) -> int:
         """Returns how many ticks to make now; the first call starts the clock. The caller makes them all."""
         if self._rate == 0.0:

@@ -17,8 +17,8 @@ class HasParameters(Protocol):
         """Declares a parameter and returns it."""
 
 
-def config_from_parameters(node: HasParameters, cls: type[T]) -> T:
-    """Declares one read-only parameter per field of ``cls`` and returns ``cls`` filled with their values.
+def config_from_parameters(node: HasParameters, cls: type[T], *, changeable: tuple[str, ...] = ()) -> T:
+    """Declares one parameter per field of ``cls``, read-only but for ``changeable``, and returns ``cls`` filled with the values.
 
     The type and the limits are checked by the dataclass, so that a wrong value fails with the same words from everywhere.
 
@@ -32,7 +32,7 @@ def config_from_parameters(node: HasParameters, cls: type[T]) -> T:
             name=f.name,
             description=f.metadata["doc"],
             additional_constraints=limits,
-            read_only=True,
+            read_only=f.name not in changeable,
             dynamic_typing=True,
         )
         values[f.name] = node.declare_parameter(f.name, f.default, descriptor).value

@@ -3,50 +3,59 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.publisher import Publisher
-from sensor_msgs.msg import CameraInfo, Image
 
 from gibson_msgs.msg import Scene, SceneState
 from gibson_sim.config import RenderConfig
-from gibson_sim.errors import ConfigError, GibsonSimError
+from gibson_sim.errors import GibsonSimError
 from gibson_sim.geometry.exposures import needs_previous
+from gibson_sim.geometry.transforms import Mat4, invert
 from gibson_sim.render.cache import default_folder
 from gibson_sim.render.context import open_context
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.ros import conversions, names, qos
+from gibson_sim.ros.camera_publisher import REGISTERED, CameraPublisher
 from gibson_sim.ros.node_main import run_node, spin_forever, write_summary
 from gibson_sim.ros.params import config_from_parameters
+from gibson_sim.ros.render_stats import RenderStats
+from gibson_sim.scenes.asset_paths import with_local_files
 from gibson_sim.scenes.spec import DrawnScene
-from gibson_sim.sensors.depth_noise import apply_depth_noise
-from gibson_sim.sensors.schedule import images_due
-from gibson_sim.types import NS_PER_S, CameraSpec, Frame, SceneState as State
+from gibson_sim.types import CameraSpec, Frame, SceneState as State
+
+_SCENE_PATIENCE_S = 2.0
+"""States of another revision than that of the scene are no cause for a warning for so long: the two race over two topics."""
 
 
 class RenderNode(Node):
-    """Draws the newest state at which a camera is due, and counts those it had to skip.
+    """Draws the newest state at which a camera is due that somebody listens to, and counts those it had to skip.
 
-    Parameters: the fields of ``gibson_sim.config.RenderConfig``.
+    What nobody listens to is neither drawn nor encoded. Several such nodes may share the cameras (``cameras``), each under a node name
+    of its own: ``--ros-args -r __node:=render_2``. docs/images.md says more about the topics.
+
+    Parameters: the fields of ``gibson_sim.config.RenderConfig``, and ``qos_overrides.<topic>.publisher.*``.
 
     Subscribes:
-        scene (gibson_msgs/Scene, latched): what to draw; another revision replaces what is loaded.
+        scene (gibson_msgs/Scene, latched): what to draw; another revision changes what is loaded.
         scene_state (gibson_msgs/SceneState): poses, and which cameras take an image.
 
     Publishes, for each camera, with the stamp of the state drawn, in the frame ``<camera>_optical_frame``:
-        <camera>/image_raw (sensor_msgs/Image rgb8), <camera>/camera_info (sensor_msgs/CameraInfo),
+        <camera>/image_raw (sensor_msgs/Image rgb8), <camera>/camera_info (sensor_msgs/CameraInfo), <camera>/image_raw/compressed
+        (sensor_msgs/CompressedImage, JPEG or PNG);
         <camera>/depth/image_raw (sensor_msgs/Image 32FC1, metres along the axis, from the centre of a fisheye or equirectangular
-        camera, +inf = nothing), <camera>/depth/camera_info;
-        where the camera has these outputs: <camera>/semantic/image_raw and <camera>/instance/image_raw (16UC1, numbers into the
-        scene's lists), <camera>/normal/image_raw and <camera>/normal_world/image_raw (32FC3, optical frame and world frame, 0 =
-        nothing), <camera>/position/image_raw (32FC3, world frame, metres, NaN = nothing), <camera>/flow/image_raw (32FC2, pixels
-        right and down since the previous image, NaN = nothing), each with its camera_info.
+        camera, +inf = nothing), <camera>/depth/camera_info, <camera>/depth/image_raw/compressedDepth (sensor_msgs/CompressedImage),
+        <camera>/depth/points (sensor_msgs/PointCloud2, organised, NaN = nothing);
+        for cameras of ``register_depth``: <camera>/depth_registered/image_raw (32FC1) and camera_info, in the other camera's frame;
+        where the camera has these outputs: <camera>/semantic/image_raw and <camera>/instance/image_raw (16UC1), whose numbers
+        <camera>/semantic/label_info and <camera>/instance/label_info (LabelInfo, latched) name, <camera>/normal/image_raw and
+        <camera>/normal_world/image_raw (32FC3, optical frame and world frame, 0 = nothing), <camera>/position/image_raw (32FC3, world
+        frame, metres, NaN = nothing), <camera>/flow/image_raw (32FC2, pixels right and down since the previous image, NaN =
+        nothing), each with its camera_info.
         /diagnostics (diagnostic_msgs/DiagnosticArray): images a second, skipped, milliseconds to draw; once a second.
     """
 
@@ -63,12 +72,14 @@ class RenderNode(Node):
             self._device, library=self._config.egl_library
         ).close()  # fail now, with a clear message, not when the scene arrives
         self._scene: DrawnScene | None = None
-        self._image_publishers: dict[str, Publisher] = {}
+        self._cameras: dict[int, CameraPublisher] = {}
         self._state_subscription: Any = None
+        self._early: SceneState | None = None
+        self._foreign_since = 0.0
         self._previous: dict[str, State] = {}
-        self._stats = _Stats()
+        self._stats = RenderStats()
         self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
-        self._diagnostics_pub = self.create_publisher(DiagnosticArray, names.DIAGNOSTICS, qos.STATE)
+        self._diagnostics_pub = qos.make_publisher(self, DiagnosticArray, names.DIAGNOSTICS, qos.STATE)
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     @property
@@ -84,100 +95,176 @@ class RenderNode(Node):
     def _on_scene(self, msg: Scene) -> None:
         """Loads the scene, then asks for states: a subscriber to the state is one that is ready to draw."""
         try:
-            self._load(conversions.scene_from_msg(msg))
+            scene, warnings = with_local_files(conversions.scene_from_msg(msg), self._config.asset_folders())
+            self._load(scene, warnings)
         except GibsonSimError as error:
             self.get_logger().error(f"scene {msg.name!r} is not drawn: {error}")
+            return
+        for camera in self._cameras.values():
+            camera.publish_labels(scene, conversions.time_from_msg(msg.header.stamp))
+        early, self._early = self._early, None
+        if early is not None and early.revision == scene.revision:
+            self._take([early])
 
-    def _load(self, scene: DrawnScene) -> None:
-        wanted = [n for n in self._config.cameras.split(",") if n]
-        unknown = set(wanted) - {c.name for c in scene.cameras}
-        if unknown:
-            known = ", ".join(c.name for c in scene.cameras) or "none"
-            raise ConfigError(f"setting 'cameras' names {', '.join(sorted(unknown))}; cameras of scene {scene.name!r}: {known}")
+    def _load(self, scene: DrawnScene, warnings: Sequence[str]) -> None:
         started = time.monotonic()
-        if self._renderer is not None:
-            self._renderer.close()
-        self._renderer = Renderer(
-            scene,
-            device=self._device,
-            library=self._config.egl_library,
-            detail_px=self._config.detail_px,
-            compress_textures=self._config.compress_textures,
-            cache=self._cache_folder,
-            progress=_Progress(self.get_logger().info),
-        )
-        self._previous = {}
-        for warning in self._renderer.warnings:
+        progress, anew = _Progress(self.get_logger().info), True
+        if self._renderer is None:
+            self._renderer = Renderer(
+                scene,
+                device=self._device,
+                library=self._config.egl_library,
+                detail_px=self._config.detail_px,
+                compress_textures=self._config.compress_textures,
+                cache=self._cache_folder,
+                progress=progress,
+            )
+        else:
+            anew = self._renderer.update(scene, progress=progress)
+        for warning in (*warnings, *self._renderer.warnings):
             self.get_logger().warning(warning)
+        self._previous = {}
         self._scene = scene
-        self._drawn = {i: c for i, c in enumerate(scene.cameras) if not wanted or c.name in wanted}
-        for camera in self._drawn.values():
-            for kind, topic in names.camera_topics(camera.name).items():
-                if topic not in self._image_publishers and kind.removesuffix("_info") in camera.outputs:
-                    msg_type = CameraInfo if kind.endswith("_info") else Image
-                    self._image_publishers[topic] = self.create_publisher(msg_type, topic, qos.SENSOR)
+        self._take_cameras(scene)
         info = self._renderer.info
-        self.get_logger().info(
-            f"scene {scene.name}: {info['triangles']} triangles, {info['textures']} textures "
-            f"in {time.monotonic() - started:.1f} s, on {info['renderer']}"
-        )
+        if anew:
+            self.get_logger().info(
+                f"scene {scene.name}: {info['triangles']} triangles, {info['textures']} textures "
+                f"in {time.monotonic() - started:.1f} s, on {info['renderer']}"
+            )
         if self._state_subscription is None:
             self._state_subscription = self.create_subscription(SceneState, names.SCENE_STATE, self._on_state, qos.STATE)
 
-    def _on_state(self, msg: SceneState) -> None:
-        """Draws the newest of the states that wait, if a camera is due at it or was due since the last one drawn."""
-        due = None
-        for state in (msg, *take_waiting(self._state_subscription)):
-            if any(i in self._drawn for i in state.due_cameras):
-                due = state
-        if due is not None:
-            self._draw(due)
+    def _take_cameras(self, scene: DrawnScene) -> None:
+        """Makes the topics of cameras that are new, keeps those of the ones that stayed, and removes the others."""
+        by_name = {camera.name: camera for camera in scene.cameras}
+        known, wanted = ", ".join(by_name) or "none", self._config.wanted_cameras()
+        registrations = self._config.registrations()
+        for name in (*wanted, *registrations, *registrations.values()):
+            if name not in by_name:
+                self.get_logger().warning(f"settings name camera {name!r}; the scene has: {known}")
+        old = {publisher.camera.name: publisher for publisher in self._cameras.values()}
+        self._cameras = {}
+        for index, camera in enumerate(scene.cameras):
+            if wanted and camera.name not in wanted:
+                continue
+            target = by_name.get(registrations.get(camera.name, ""))
+            found = old.get(camera.name)
+            if found is not None and (found.camera, found.target) == (camera, target):
+                self._cameras[index] = old.pop(camera.name)
+                continue
+            if found is not None:
+                old.pop(camera.name).close()
+            self._cameras[index] = CameraPublisher(self, camera, self._config, target)
+        for publisher in old.values():
+            publisher.close()
 
-    def _draw(self, msg: SceneState) -> None:
-        """Draws and publishes the cameras that are due."""
-        assert self._renderer is not None
+    def _on_state(self, msg: SceneState) -> None:
+        """Draws the newest of the states that wait at which a camera is due that somebody listens to."""
+        self._take([msg, *take_waiting(self._state_subscription)])
+
+    def _take(self, states: Sequence[SceneState]) -> None:
         assert self._scene is not None
-        cameras = [self._drawn[i] for i in msg.due_cameras if i in self._drawn]
-        started = time.monotonic_ns()
-        try:
-            frames = self._frames(conversions.scene_state_from_msg(msg, self._scene.links), cameras)
-        except GibsonSimError as error:
-            self.get_logger().warning(
-                f"state at {conversions.time_from_msg(msg.header.stamp)} ns is not drawn: {error}", throttle_duration_sec=1.0
-            )
+        ours = [state for state in states if state.revision == self._scene.revision]
+        self._note_foreign(states, bool(ours))
+        due = {i for state in ours for i in state.due_cameras if i in self._cameras}
+        wanted = {i: self._cameras[i].wanted() for i in due}
+        newest = None
+        for state in ours:
+            heard = any(wanted.get(i) for i in state.due_cameras)
+            if heard or (newest is None and any(i in due for i in state.due_cameras)):
+                newest = state
+        for i in due:
+            if not wanted[i]:
+                self._stats.count_due(self._cameras[i].camera, 0, wanted=False)
+        if newest is not None:
+            self._draw(newest, {i: wanted[i] for i in newest.due_cameras if i in due})
+
+    def _note_foreign(self, states: Sequence[SceneState], ours: bool) -> None:
+        """Keeps the newest state of a revision whose scene is still to come; warns where it does not come."""
+        assert self._scene is not None
+        foreign = [state for state in states if state.revision != self._scene.revision]
+        if ours or not foreign:
+            self._foreign_since = 0.0
             return
-        drawn = time.monotonic_ns()
-        for frame in frames:
-            topics = names.camera_topics(frame.camera.name)
-            for kind, out in conversions.frame_to_image_msgs(frame).items():
-                self._image_publishers[topics[kind]].publish(out)
-        self._stats.add(started, drawn, time.monotonic_ns(), frames)
+        self._early = next((state for state in reversed(foreign) if state.due_cameras), self._early)
+        self._foreign_since = self._foreign_since or time.monotonic()
+        if time.monotonic() - self._foreign_since > _SCENE_PATIENCE_S:
+            self.get_logger().warning(
+                f"states are of scene revision {foreign[-1].revision}, revision {self._scene.revision} is loaded; nothing is drawn "
+                "until the scene of that revision arrives",
+                throttle_duration_sec=5.0,
+            )
+
+    def _draw(self, msg: SceneState, wanted: dict[int, frozenset[str]]) -> None:
+        """Draws and publishes what is wanted of the cameras that are due."""
+        assert self._scene is not None
+        stamp_ns, started = conversions.time_from_msg(msg.header.stamp), time.monotonic_ns()
+        specs = {i: spec for i, kinds in wanted.items() if (spec := self._cameras[i].to_draw(kinds)) is not None}
+        moving = [self._cameras[i].camera for i in wanted if needs_previous(self._cameras[i].camera)]
+        frames: list[Frame] = []
+        try:
+            if specs or moving:
+                state = conversions.scene_state_from_msg(msg, self._scene.links)
+                frames = self._frames(state, list(specs.values()))
+                self._previous.update({camera.name: state for camera in moving})
+                drawn = time.monotonic_ns()
+                messages = self._publish(dict(zip(specs, frames, strict=True)), wanted, state)
+        except GibsonSimError as error:
+            self.get_logger().warning(f"state at {stamp_ns} ns is not drawn: {error}", throttle_duration_sec=1.0)
+            return
+        for i, kinds in wanted.items():
+            if kinds:
+                self._stats.count_due(self._cameras[i].camera, stamp_ns, wanted=True)
+                self._cameras[i].publish_info(stamp_ns, kinds)
+        if frames:
+            self._stats.add(started, drawn, time.monotonic_ns(), frames, messages)
 
     def _frames(self, state: State, cameras: list[CameraSpec]) -> list[Frame]:
         """Returns the images of cameras at a state, each with the motion since its own image before."""
         assert self._renderer is not None
-        since: dict[int, tuple[State | None, list[CameraSpec]]] = {}
-        for camera in cameras:
+        since: dict[int, tuple[State | None, list[int]]] = {}
+        for k, camera in enumerate(cameras):
             previous = self._previous.get(camera.name) if needs_previous(camera) else None
-            if previous is not None and (previous.stamp_ns >= state.stamp_ns or previous.revision != state.revision):
+            if previous is not None and previous.stamp_ns >= state.stamp_ns:
                 previous = None  # time went back: what lies between the two is no motion
-            since.setdefault(id(previous), (previous, []))[1].append(camera)
-        frames = [frame for previous, alike in since.values() for frame in self._renderer.render(state, alike, previous)]
-        self._previous.update({camera.name: state for camera in cameras if needs_previous(camera)})
-        return [apply_depth_noise(frame, frame.camera.depth_noise) for frame in frames]
+            since.setdefault(id(previous), (previous, []))[1].append(k)
+        frames: dict[int, Frame] = {}
+        for previous, alike in since.values():
+            drawn = self._renderer.render(state, [cameras[k] for k in alike], previous)
+            frames.update(zip(alike, drawn, strict=True))
+        return [frames[k] for k in range(len(cameras))]
+
+    def _publish(self, frames: dict[int, Frame], wanted: dict[int, frozenset[str]], state: State) -> list[str]:
+        """Publishes images; returns the kinds of messages, each after the name of its camera."""
+        done: list[str] = []
+        for i, frame in frames.items():
+            publisher = self._cameras[i]
+            T_target_camera = self._registration(publisher, state, frame) if REGISTERED in wanted[i] else None
+            done += [f"{publisher.camera.name}/{kind}" for kind in publisher.publish(frame, wanted[i], T_target_camera)]
+        return done
+
+    def _registration(self, publisher: CameraPublisher, state: State, frame: Frame) -> Mat4 | None:
+        """Returns where the camera of a frame is, as the camera sees it that its depth is registered to."""
+        if publisher.target is None or self._renderer is None:
+            return None
+        T: Mat4 = invert(self._renderer.camera_matrix(state, publisher.target)) @ frame.T_world_camera
+        return T
 
     def spin(self) -> int:
         """Draws until the context ends; returns the exit code."""
         return spin_forever(self)
 
     def _publish_diagnostics(self) -> None:
-        values = self._stats.since_last_report()
-        if values is None:
+        if self._renderer is None:
             return
+        values = self._stats.since_last_report()
+        message = "draws every image" if values["images_per_s"] else "nothing is asked for"
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if values["skipped"] else DiagnosticStatus.OK,
-            name="gibson_sim: render",
-            message="skips images" if values["skipped"] else "draws every image",
+            name=f"gibson_sim: {self.get_fully_qualified_name().lstrip('/')}",
+            message="skips images" if values["skipped"] else message,
+            hardware_id=self._renderer.info["renderer"],
             values=[KeyValue(key=k, value=f"{v:.2f}") for k, v in values.items()],
         )
         header = conversions.header_to_msg(self._stats.last_stamp_ns, "")
@@ -214,56 +301,6 @@ class _Progress:
         if now - self._last >= 2.0:
             self._last = now
             self._say(f"{what}: {100.0 * part:.0f} %")
-
-
-class _Stats:
-    """Counts images and how long they took, in wall time."""
-
-    def __init__(self) -> None:
-        self.skipped = 0
-        self.last_stamp_ns = 0
-        self._images: dict[str, int] = {}
-        self._stamps: dict[str, int] = {}
-        self._draw_ms: list[float] = []
-        self._publish_ms: list[float] = []
-        self._first: tuple[int, int] = (0, 0)
-        self._last_ns = 0
-        self._reported = (0, 0, 0)
-
-    def add(self, started_ns: int, drawn_ns: int, published_ns: int, frames: list[Frame]) -> None:
-        if not self._images:
-            self._first = (published_ns, frames[0].stamp_ns)
-        for frame in frames:
-            name, stamp_ns = frame.camera.name, frame.stamp_ns
-            if name in self._stamps and stamp_ns > self._stamps[name]:
-                self.skipped += images_due(self._stamps[name], stamp_ns, frame.camera.rate_hz) - 1
-            self._stamps[name] = stamp_ns
-            self._images[name] = self._images.get(name, 0) + 1
-        self._draw_ms.append((drawn_ns - started_ns) / 1e6)
-        self._publish_ms.append((published_ns - drawn_ns) / 1e6)
-        self._last_ns, self.last_stamp_ns = published_ns, frames[0].stamp_ns
-
-    def since_last_report(self) -> dict[str, float] | None:
-        """Returns figures since the last call, or None where nothing was drawn yet."""
-        if not self._images:
-            return None
-        now, total = time.monotonic_ns(), sum(self._images.values())
-        then, images, skipped = self._reported
-        self._reported = (now, total, self.skipped)
-        seconds = (now - then) / NS_PER_S
-        return {"images_per_s": (total - images) / seconds, "skipped": self.skipped - skipped, "draw_ms": self._draw_ms[-1]}
-
-    def summary(self) -> dict[str, Any]:
-        wall_s = (self._last_ns - self._first[0]) / NS_PER_S
-        sim_s = (self.last_stamp_ns - self._first[1]) / NS_PER_S
-        return {
-            "images": dict(self._images),
-            "images_per_wall_s": {k: (n - 1) / wall_s if wall_s else 0.0 for k, n in self._images.items()},
-            "images_per_simulated_s": {k: (n - 1) / sim_s if sim_s else 0.0 for k, n in self._images.items()},
-            "skipped_images": self.skipped,
-            "draw_ms_median": median(self._draw_ms) if self._draw_ms else 0.0,
-            "publish_ms_median": median(self._publish_ms) if self._publish_ms else 0.0,
-        }
 
 
 def main(args: list[str] | None = None) -> None:

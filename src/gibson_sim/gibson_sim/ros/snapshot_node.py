@@ -33,6 +33,7 @@ class SnapshotNode(Node):
     ``<camera>_rgb.png`` is 8-bit colour; ``<camera>_depth.png`` is 16-bit, millimetres, 0 = nothing or beyond 65.5 m (REP 118);
     ``<camera>_semantic.png`` and ``_instance.png`` are 16-bit numbers, as /scene names them; ``_normal.png`` has x, y, z of -1 to 1
     as red, green, blue of 0 to 255, and so has ``_normal_world.png``; ``_position.npy`` and ``_flow.npy`` are arrays for NumPy.
+    Camera ``left/camera`` is ``left_camera`` in file names.
 
     Parameters: the fields of ``gibson_sim.config.SnapshotConfig``.
     """
@@ -53,7 +54,8 @@ class SnapshotNode(Node):
         for camera in conversions.scene_from_msg(msg).cameras:
             for kind in camera.outputs:
                 topic = names.camera_topics(camera.name)[kind]
-                self._missing[topic] = f"{camera.name}_{kind}.{'npy' if kind in _ARRAYS else 'png'}"
+                file = f"{camera.name.replace('/', '_')}_{kind}"
+                self._missing[topic] = f"{file}.{'npy' if kind in _ARRAYS else 'png'}"
                 self.create_subscription(Image, topic, partial(self._on_image, topic), qos.SENSOR)
 
     def _on_image(self, topic: str, msg: Image) -> None:

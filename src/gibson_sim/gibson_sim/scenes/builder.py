@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError, SceneNotFoundError
 from gibson_sim.geometry.transforms import pose_from_matrix
+from gibson_sim.robots.omissions import Omission, OmissionKind, kind_of
 from gibson_sim.robots.spec import Look, Shape, VisualSpec
 from gibson_sim.scenes.mesh import MeshLoader, shape_triangles
 from gibson_sim.scenes.mesh_types import TO_Z_UP, UpAxis, merge
@@ -34,14 +35,15 @@ class SceneBuilder:
         name: of the scene.
         root: folder that its files lie in.
         extra_roots: more folders that meshes may lie in, such as those of ``$GAZEBO_MODEL_PATH``.
+        max_bytes: a larger mesh file is refused; None = any size.
     """
 
-    def __init__(self, name: str, root: Path, extra_roots: Sequence[Path] = ()) -> None:
+    def __init__(self, name: str, root: Path, extra_roots: Sequence[Path] = (), *, max_bytes: int | None = None) -> None:
         self.name = name
         self.description = ""
         self.root = Path(os.path.realpath(root))
         self.roots = (self.root, *extra_roots)
-        self.loader = MeshLoader(self.roots, textures=False)
+        self.loader = MeshLoader(self.roots, textures=False, max_bytes=max_bytes)
         self.gravity: Vec3 = (0.0, 0.0, -9.81)
         self.ground_z: float | None = None
         self.floor_z: float | None = None
@@ -50,16 +52,26 @@ class SceneBuilder:
         self.starts: list[StartPose] = []
         self.visuals: list[VisualSpec] = []
         self.collisions: list[CollisionSpec] = []
-        self._visual_names: set[str] = set()
-        self._collision_names: set[str] = set()
-        self._warnings: list[str] = []
+        self._visual_names: dict[str, int] = {}
+        self._collision_names: dict[str, int] = {}
+        self.warnings: list[Omission] = []
         self._files: dict[Path, None] = {}
+        self._texts: list[bytes] = []
 
-    def warn(self, text: str) -> None:
-        """Keeps one line for the user, each only once; paths under the root are shortened."""
-        short = text.replace(f"{self.root}{os.sep}", "")
-        if short not in self._warnings:
-            self._warnings.append(short)
+    def warn(self, text: str, kind: OmissionKind | None = None) -> None:
+        """Keeps one line for the user, each only once; paths under the root are shortened.
+
+        Args:
+            text: the line.
+            kind: why; None = as the line says, if it is an ``Omission``.
+        """
+        short = Omission(text.replace(f"{self.root}{os.sep}", ""), kind or kind_of(text))
+        if short not in self.warnings:
+            self.warnings.append(short)
+
+    def add_text(self, text: str) -> None:
+        """Makes a description that is no file part of the digest."""
+        self._texts.append(text.encode("utf-8", errors="replace"))
 
     def read_bytes(self, path: Path) -> bytes:
         """Returns the content of a description file, which becomes part of the digest."""
@@ -137,7 +149,7 @@ class SceneBuilder:
     def finish(self) -> SceneSpec:
         """Returns the scene."""
         if not self.visuals and not self.collisions and self.ground_z is None:
-            reason = f": {self._warnings[0]}" if self._warnings else ""
+            reason = f": {self.warnings[0]}" if self.warnings else ""
             raise SceneError(f"scene {self.name!r}: nothing in it can be drawn or bumped into{reason}")
         floor_z = self.floor_z
         if floor_z is None:
@@ -145,12 +157,15 @@ class SceneBuilder:
             floor_z = estimate_floor(*triangles, self.ground_z)
         return SceneSpec(
             self.name, self.root, self.digest(), tuple(self.visuals), tuple(self.collisions), self.ground_z, floor_z,
-            self.gravity, tuple(self.starts), self.light, (), tuple(self._warnings),
+            self.gravity, tuple(self.starts), self.light, (), tuple(self.warnings),
         )  # fmt: skip
 
     def digest(self) -> str:
-        """Returns the SHA-256 of the scene's name and of all files that it uses: relative names, sizes, contents."""
+        """Returns the SHA-256 of the scene's name, its text, and all files that it uses: relative names, sizes, contents."""
         total = hashlib.sha256(self.name.encode())
+        for text in self._texts:
+            total.update(f"\n{len(text)}\n".encode())
+            total.update(text)
         named = {os.path.relpath(p, self.root) if p.is_relative_to(self.root) else p.name: p for p in self._files}
         for relative, path in sorted(named.items()):
             data = path.read_bytes()
@@ -159,13 +174,14 @@ class SceneBuilder:
         return total.hexdigest()
 
 
-def _unique(name: str, taken: set[str]) -> str:
-    """Returns the name, with _2, _3, ... if it is taken, and takes it."""
-    candidate, number = name, 1
+def _unique(name: str, taken: dict[str, int]) -> str:
+    """Returns the name, with _2, _3, ... if it is taken, and takes it; ``taken`` has the last number of every name."""
+    candidate, number = name, taken.get(name, 0)
     while candidate in taken:
         number += 1
         candidate = f"{name}_{number}"
-    taken.add(candidate)
+    taken[name] = max(number, 1)
+    taken.setdefault(candidate, 1)
     return candidate
 
 

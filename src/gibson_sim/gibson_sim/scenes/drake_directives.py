@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import MeshError, SceneError
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
+from gibson_sim.robots.omissions import OmissionKind
 from gibson_sim.scenes.builder import SceneBuilder, class_from_model
 from gibson_sim.scenes.mesh import MESH_SUFFIXES
 from gibson_sim.scenes.sdf_model import Element, SdfModels
@@ -48,7 +49,7 @@ def read_drake_directives(builder: SceneBuilder, path: Path) -> None:
     reader = _Reader(builder, path)
     for directive in directives:
         if not isinstance(directive, dict) or len(directive) != 1:
-            builder.warn(f"{path}: directive {directive!r} is not one name with its content; left out")
+            builder.warn(f"{path}: directive {directive!r} is not one name with its content; left out", OmissionKind.INVALID)
             continue
         ((name, content),) = directive.items()
         reader.directive(str(name), content if isinstance(content, dict) else {})
@@ -76,7 +77,8 @@ class _Reader:
             if base is not None:
                 self._frames[str(content.get("name", ""))] = base @ self._transform(transform)
         else:
-            self.builder.warn(f"{self.path}: directive {name} is not supported; left out")
+            text = f"{self.path}: directive {name} is not supported; left out"
+            self.builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
 
     def place_models(self) -> None:
         """Adds every model where its weld put it, or at the origin of the world."""
@@ -90,7 +92,7 @@ class _Reader:
             try:
                 shape, at = self.builder.mesh_shape(file, matrix, (1.0, 1.0, 1.0))
             except MeshError as e:
-                self.builder.warn(f"model {name}: {e}; left out")
+                self.builder.warn(f"model {name}: {e}; left out", OmissionKind.UNSUPPORTED_ASSET)
                 continue
             self.builder.add_visual(name, shape, at, None, class_from_model(name))
             self.builder.add_collision(name, shape, at)
@@ -99,7 +101,7 @@ class _Reader:
         name, uri = str(content.get("name", "")), str(content.get("file", ""))
         file = self.uris.find(uri, self.path.parent) if uri else None
         if file is None:
-            self.builder.warn(f"model {name!r}: file {uri!r} is not there; left out")
+            self.builder.warn(f"model {name!r}: file {uri!r} is not there; left out", OmissionKind.MISSING_ASSET)
             return
         if file.suffix.lower() in MESH_SUFFIXES:
             self._elements[name] = (None, file)
@@ -107,7 +109,7 @@ class _Reader:
         try:
             element = self.models.document(file)
         except SceneError as e:
-            self.builder.warn(f"{e}; left out")
+            self.builder.warn(f"{e}; left out", OmissionKind.UNSUPPORTED_ASSET)
             return
         if element is not None:
             self._elements[name] = (element, file)
@@ -150,7 +152,8 @@ class _Reader:
             if "AngleAxis" in rotation:
                 matrix[:3, :3] = _axis_angle(rotation["AngleAxis"])
             elif rotation:
-                self.builder.warn(f"{self.path}: rotation {rotation!r} is not supported; taken as zero")
+                text = f"{self.path}: rotation {rotation!r} is not supported; taken as zero"
+                self.builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
             return matrix
         except (TypeError, ValueError, KeyError, AttributeError) as e:
             raise SceneError(f"{self.path}: transform {content!r} cannot be read: {e}") from e

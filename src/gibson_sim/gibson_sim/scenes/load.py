@@ -42,12 +42,35 @@ def load_scene(name_or_path: str | Path, *, sdf_lamps: bool = False) -> SceneSpe
         SceneError: the description or a mesh is broken.
     """
     given = find_scene(name_or_path)
-    file = description_file(given)
-    reader, root = _reader_and_root(file, given)
+    return finish(read_scene(given, description_file(given), sdf_lamps=sdf_lamps))
+
+
+def read_scene(given: Path, file: Path, *, sdf_lamps: bool = False) -> SceneBuilder:
+    """Returns everything that a scene's description names, before it is put together.
+
+    Args:
+        given: file or folder that the user named.
+        file: the description in it (``description_file``).
+        sdf_lamps: as for ``load_scene``.
+
+    Raises:
+        SceneNotFoundError: the file is of a kind that cannot be read.
+        SceneError: the description or a mesh is broken.
+    """
+    reader, root = reader_and_root(file, given)
     name = given.name if given.is_dir() else file.parent.name if file.name == DESCRIPTION else file.name.split(".")[0]
     builder = SceneBuilder(name, root, environment_folders() if reader is read_sdf_world else ())
     builder.sdf_lamps = sdf_lamps
     reader(builder, file)
+    return builder
+
+
+def finish(builder: SceneBuilder) -> SceneSpec:
+    """Returns the scene that was read, and logs what was left out.
+
+    Raises:
+        SceneError: it is empty.
+    """
     scene = builder.finish()
     for warning in scene.warnings:
         _log.warning("scene %s: %s", scene.name, warning)
@@ -80,7 +103,7 @@ def description_file(path: Path) -> Path:
     if (path / DESCRIPTION).is_file():
         return path / DESCRIPTION
     files = [Path(folder) / name for folder, name in _walk(path)]
-    worlds = [f for f in files if _is_sdf_world(f) or f.name.endswith((".dmd.yaml", ".dmd.yml"))]
+    worlds = [f for f in files if is_sdf_world(f) or f.name.endswith((".dmd.yaml", ".dmd.yml"))]
     meshes = [f for f in files if f.suffix.lower() in MESH_SUFFIXES]
     found = sorted(worlds) or sorted(meshes)
     if len(found) == 1:
@@ -105,14 +128,21 @@ def _walk(path: Path) -> Iterable[tuple[str, str]]:
             yield folder, name
 
 
-def _is_sdf_world(path: Path) -> bool:
+def is_sdf_world(path: Path) -> bool:
+    """Returns whether the file is an SDF world."""
     if path.suffix.lower() == ".world":
         return True
+    if not path.is_file():
+        return False
     return path.suffix.lower() == ".sdf" and _WORLD_TAG.search(path.read_bytes()) is not None
 
 
-def _reader_and_root(file: Path, given: Path) -> tuple[Callable[[SceneBuilder, Path], None], Path]:
-    """Returns the reader of a description file, and the folder that all its files must lie in."""
+def reader_and_root(file: Path, given: Path) -> tuple[Callable[[SceneBuilder, Path], None], Path]:
+    """Returns the reader of a description file, and the folder that all its files must lie in.
+
+    Raises:
+        SceneNotFoundError: it is no description of a scene.
+    """
     suffix = file.suffix.lower()
     if file.name == DESCRIPTION:
         return read_scene_yaml, file.parent

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 import struct
 from collections.abc import Sequence
 from pathlib import Path
@@ -42,10 +43,12 @@ class MeshLoader:
     Args:
         allowed_roots: folders that meshes, textures and buffers must lie in, symbolic links followed.
         textures: False = geometry only: textures are looked for, and warned about, but not decoded.
+        max_bytes: a larger mesh file is refused; None = any size.
     """
 
-    def __init__(self, allowed_roots: Sequence[Path], *, textures: bool = True) -> None:
+    def __init__(self, allowed_roots: Sequence[Path], *, textures: bool = True, max_bytes: int | None = None) -> None:
         self.roots = tuple(allowed_roots)
+        self.max_bytes = max_bytes
         self._textures = TextureStore(self.roots, textures)
         self._meshes: dict[Path, Mesh] = {}
 
@@ -75,6 +78,13 @@ class MeshLoader:
         if not is_inside(real, self.roots):
             raise MeshError(f"{path}: lies outside {', '.join(map(str, self.roots))}; move it into the scene's folder")
         try:
+            status = real.stat()
+            # A pipe would be waited for, and a device has no end.
+            if not stat.S_ISREG(status.st_mode):
+                raise MeshError(f"{path}: is no regular file; give a mesh file ({', '.join(MESH_SUFFIXES)})")
+            if self.max_bytes is not None and status.st_size > self.max_bytes:
+                mega = 1024 * 1024
+                raise MeshError(f"{path}: has {status.st_size // mega} MB, must be at most {self.max_bytes // mega} MB")
             data = real.read_bytes()
         except OSError as e:
             raise MeshError(f"{path}: cannot be read: {e.strerror or e}") from e

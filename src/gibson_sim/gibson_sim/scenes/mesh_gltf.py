@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import MeshError
 from gibson_sim.geometry.transforms import matrix_from_quat
+from gibson_sim.robots.omissions import Omission, OmissionKind
 from gibson_sim.scenes.mesh_types import (
     F64,
     I64,
@@ -245,6 +246,8 @@ class _Reader:
         file = local_path(uri, self.path.parent)
         if not is_inside(file, self.textures.roots):
             raise MeshError(f"{self.path}: buffer {uri!r} lies outside the scene's folder; put it beside the mesh")
+        if file.exists() and not file.is_file():  # a pipe would be waited for, and a device has no end
+            raise MeshError(f"{self.path}: buffer {file.name} is no regular file; name a .bin file")
         try:
             data = file.read_bytes()
         except OSError as e:
@@ -319,7 +322,8 @@ class _Reader:
         texture = self._item("textures", index)
         source = texture.get("extensions", {}).get("EXT_texture_webp", {}).get("source", texture.get("source"))
         if source is None:
-            self.warn(f"{self.path}: texture {index} has a format that cannot be read; the surface is drawn without it")
+            text = f"{self.path}: texture {index} has a format that cannot be read; the surface is drawn without it"
+            self.warn(Omission(text, OmissionKind.UNSUPPORTED_ASSET))
             return None
         if source not in self._images:
             self._images[source] = self._image(source)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from gibson_sim.errors import MeshError
+from gibson_sim.robots.omissions import Omission, OmissionKind
 from gibson_sim.scenes.mesh_types import F64, I64, LIGHT_GREY, Material, MeshPart, area_normals, build_part, fan, index_corners
 from gibson_sim.scenes.textures import TextureStore, Warn, is_inside, local_path
 from gibson_sim.types import Rgba
@@ -183,10 +184,12 @@ def _materials(path: Path, names: list[str], textures: TextureStore, files: list
     for name in names:
         file = local_path(name, path.parent)
         if not is_inside(file, textures.roots):
-            warn(f"{path}: material file {name!r} lies outside the scene's folder; it is not read")
+            text = f"{path}: material file {name!r} lies outside the scene's folder; it is not read"
+            warn(Omission(text, OmissionKind.UNSUPPORTED_ASSET))
             continue
         if not file.is_file():
-            warn(f"{path}: material file {name} is missing; the surfaces are light grey")
+            text = f"{path}: material file {name} is missing; the surfaces are light grey"
+            warn(Omission(text, OmissionKind.MISSING_ASSET))
             continue
         files.append(Path(os.path.realpath(file)))
         blocks: dict[str, dict[str, str]] = {}

@@ -1,10 +1,12 @@
-"""Puts a robot into a scene: from three names to one SceneSpec."""
+"""Puts robots into a scene: from names to one SceneSpec."""
 
 from __future__ import annotations
 
 import logging
 import math
 from dataclasses import replace
+
+import numpy as np
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
@@ -19,23 +21,79 @@ from gibson_sim.types import Pose
 logger = logging.getLogger(__name__)
 
 
-def populate(scene_name: str, robot_name: str, start: str = "", *, sdf_lamps: bool = False) -> SceneSpec:
-    """Returns the scene with one robot in it.
+def populate(
+    scene_name: str, robots: str, start: str = "", *, sdf_lamps: bool = False, robot_tf: str = "namespaced"
+) -> SceneSpec:
+    """Returns the scene with its robots.
 
     Args:
         scene_name: what ``load_scene`` takes.
-        robot_name: what ``load_robot`` takes.
-        start: name of one of the scene's start poses, or ``x,y,yaw_deg``; empty = the first start pose, or the most open place.
+        robots: what ``load_robot`` takes, or several as ``name=robot``, separated by commas: each gets a namespace of its name.
+        start: name of one of the scene's start poses, or ``x,y,yaw_deg``; for several robots in their order, separated by ``;``.
+            Empty = the first start pose that is left, or the most open place.
         sdf_lamps: as ``load_scene`` takes it.
+        robot_tf: several robots: ``namespaced`` or ``prefixed``, see ``gibson_sim.config.PhysicsConfig``.
 
     Raises:
         SceneError: the scene cannot be loaded.
-        RobotError: the robot cannot be loaded.
-        ConfigError: ``start`` is neither a name nor three numbers.
+        RobotError: a robot cannot be loaded.
+        ConfigError: ``robots`` or ``start`` is not as above.
     """
-    scene = load_scene(scene_name, sdf_lamps=sdf_lamps)
-    robot = load_robot(robot_name)
-    return with_robots(scene, [replace(robot, start=start_pose(scene, robot, start))])
+    return place_robots(load_scene(scene_name, sdf_lamps=sdf_lamps), robots, start, robot_tf=robot_tf)
+
+
+def place_robots(scene: SceneSpec, robots: str, start: str = "", *, robot_tf: str = "namespaced") -> SceneSpec:
+    """Returns the scene with its robots; the arguments are those of ``populate``."""
+    if "=" not in robots:
+        robot = load_robot(robots)
+        return with_robots(scene, [replace(robot, start=start_pose(scene, robot, start))])
+    placed: list[RobotSpec] = []
+    entries = [part.strip() for part in robots.split(",")]
+    starts = [part.strip() for part in start.split(";")] if start else []
+    if len(starts) > len(entries):
+        raise ConfigError(f"start has {len(starts)} places for {len(entries)} robots: {start!r}")
+    for i, entry in enumerate(entries):
+        name, _, kind = (part.strip() for part in entry.partition("="))
+        if not (name and kind):
+            raise ConfigError(
+                f"robot {entry!r} must be name=robot where there are several, e.g. left=gibson_bot,right=gibson_bot"
+            )
+        if any(name == other.name for other in placed):
+            raise ConfigError(f"two robots are called {name!r}; names must differ")
+        robot = in_namespace(load_robot(kind, name=name), name, robot_tf)
+        given = starts[i] if i < len(starts) else ""
+        pose = start_pose(scene, robot, given) if given else free_start(scene, robot, [other.start for other in placed])
+        placed.append(replace(robot, start=pose))
+    return with_robots(scene, placed)
+
+
+def in_namespace(robot: RobotSpec, namespace: str, robot_tf: str = "namespaced") -> RobotSpec:
+    """Returns the robot with all its topics, those of its cameras too, under ``namespace``, its frames as ``robot_tf`` says."""
+    prefix = f"{namespace}/" if robot_tf == "prefixed" else ""
+    cameras = tuple(replace(c, name=f"{namespace}/{c.name}", frame_id=f"{prefix}{c.optical_frame}") for c in robot.cameras)
+    return replace(robot, namespace=namespace, frame_prefix=prefix, own_tf=not prefix, cameras=cameras)
+
+
+def free_start(scene: SceneSpec, robot: RobotSpec, taken: list[Pose]) -> Pose:
+    """Returns a place that is clear of what stands there and of robots at ``taken``: a start pose, or the nearest free floor."""
+    distance = 4.0 * robot.radius + 0.5
+
+    def is_clear(x: float, y: float) -> bool:
+        return all(math.hypot(x - other.position[0], y - other.position[1]) >= distance for other in taken)
+
+    for named in scene.starts:
+        if is_clear(*named.pose.position[:2]):
+            return named.pose
+    if not taken:
+        return start_pose(scene, robot, "")
+    floor = robot_floor_map(scene, robot)
+    region = floor.largest_free_region(robot.radius)
+    centers = floor.centers(np.argwhere(region))
+    order = np.argsort(np.sum((centers - np.array(taken[0].position[:2])) ** 2, axis=1), kind="stable")
+    for x, y in centers[order]:
+        if is_clear(float(x), float(y)):
+            return pose_from_xyz_rpy((float(x), float(y), scene.floor_z), (0.0, 0.0, 0.0))
+    raise ConfigError(f"scene {scene.name!r} has no room for robot {robot.name!r}: give its start as x,y,yaw_deg")
 
 
 def start_pose(scene: SceneSpec, robot: RobotSpec, start: str) -> Pose:

@@ -10,8 +10,10 @@ from xml.etree import ElementTree
 import numpy as np
 
 from gibson_sim.errors import SceneError
+from gibson_sim.robots.omissions import OmissionKind
 from gibson_sim.scenes.builder import SceneBuilder
-from gibson_sim.scenes.sdf_model import SdfModels, numbers, parse_xml
+from gibson_sim.scenes.sdf_geometry import numbers
+from gibson_sim.scenes.sdf_model import SdfModels, parse_xml
 from gibson_sim.scenes.spec import LightSpec, PointLight
 from gibson_sim.scenes.uris import UriResolver
 from gibson_sim.types import Vec3
@@ -29,12 +31,26 @@ def read_sdf_world(builder: SceneBuilder, path: Path) -> None:
     Raises:
         SceneError: the file is no SDF world.
     """
-    root = parse_xml(builder, path)
+    place_world(builder, parse_xml(builder, path), path)
+
+
+def place_world(builder: SceneBuilder, root: Element, path: Path) -> None:
+    """Puts everything of a parsed world into the builder.
+
+    Args:
+        builder: gets it.
+        root: the outermost element.
+        path: the file, for messages and relative names; need not exist.
+
+    Raises:
+        SceneError: it is no SDF world.
+    """
     world = root.find("world") if root.tag in ("sdf", "gazebo") else None
     if world is None:
         raise SceneError(f"{path}: holds no <world>; name a world file or a mesh")
     if len(root.findall("world")) > 1:
-        builder.warn(f"{path}: holds several worlds; the first, {world.get('name', '')!r}, is used")
+        text = f"{path}: holds several worlds; the first, {world.get('name', '')!r}, is used"
+        builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
     gravity = numbers(world.findtext("gravity"), (3,)) or numbers(world.findtext("physics/gravity"), (3,))
     if gravity is not None:
         builder.gravity = (gravity[0], gravity[1], gravity[2])
@@ -47,7 +63,8 @@ def read_sdf_world(builder: SceneBuilder, path: Path) -> None:
         elif child.tag == "include":
             _include(builder, models, world, child, path.parent)
         elif child.tag in ("actor", "population", "road"):
-            builder.warn(f"<{child.tag}> {child.get('name', '')!r} is not supported; left out")
+            text = f"<{child.tag}> {child.get('name', '')!r} is not supported; left out"
+            builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
 
 
 def _include(builder: SceneBuilder, models: SdfModels, world: Element, element: Element, base: Path) -> None:

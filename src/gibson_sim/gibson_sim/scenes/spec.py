@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.spec import RobotSpec, Shape, VisualSpec
 from gibson_sim.types import CameraSpec, Pose, Vec3
 
@@ -112,6 +113,8 @@ class SceneSpec:
     """What could not be loaded and was left out or replaced, one line each."""
     revision: int = 1
     """Counts what was added or removed since load."""
+    bodies: tuple[BodySpec, ...] = ()
+    """Things that are no robots and can be moved, added and removed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +159,11 @@ def drawn_scene(scene: SceneSpec, links: tuple[str, ...]) -> DrawnScene:
         revision=scene.revision,
         content_hash=scene.content_hash,
         links=links,
-        visuals=scene.visuals + tuple(v for robot in scene.robots for v in robot.visuals),
+        visuals=(
+            *scene.visuals,
+            *(v for robot in scene.robots for v in robot.visuals),
+            *(v for body in scene.bodies for v in body.visuals),
+        ),
         cameras=tuple(c for robot in scene.robots for c in robot.cameras),
         light=scene.light,
     )

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.robots.omissions import Omission, OmissionKind
 from gibson_sim.scenes.mesh_types import TextureSource
 
 Warn = Callable[[str], None]
@@ -57,10 +58,12 @@ class TextureStore:
         wanted = local_path(uri, mesh.parent)
         path = wanted if wanted.is_file() else (self._nearby(wanted, mesh) if search else None)
         if not is_inside(path or wanted, self.roots):
-            warn(f"{mesh}: texture {uri!r} lies outside the scene's folder; it is not read, the surface is drawn without it")
+            text = f"{mesh}: texture {uri!r} lies outside the scene's folder; it is not read, the surface is drawn without it"
+            warn(Omission(text, OmissionKind.UNSUPPORTED_ASSET))
             return None
         if path is None:
-            warn(f"{mesh}: texture {wanted.name} is missing (looked at {wanted}); the surface is drawn without it")
+            text = f"{mesh}: texture {wanted.name} is missing (looked at {wanted}); the surface is drawn without it"
+            warn(Omission(text, OmissionKind.MISSING_ASSET))
             return None
         if path != wanted and path.name.lower() != wanted.name.lower():
             warn(f"{mesh}: texture {wanted.name} is missing; used {path.name}, the only image beside the mesh")
@@ -73,7 +76,8 @@ class TextureStore:
             pixels = decode_image(path.read_bytes())
             self._by_file[path] = None if pixels is None else TextureSource(str(path), pixels)
         if self._by_file[path] is None:
-            warn(f"{mesh}: texture {path.name} cannot be decoded ({path}); the surface is drawn without it")
+            text = f"{mesh}: texture {path.name} cannot be decoded ({path}); the surface is drawn without it"
+            warn(Omission(text, OmissionKind.UNSUPPORTED_ASSET))
         return self._by_file[path]
 
     def from_bytes(self, name: str, data: bytes, warn: Warn) -> TextureSource | None:

@@ -7,19 +7,33 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote
 
+from gibson_sim.resources import PATH_VARIABLE
+
 _MODEL_VARIABLES = ("GAZEBO_MODEL_PATH", "GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "SDF_PATH")
 _LEVELS_UP = 3
 
 
 def environment_folders() -> tuple[Path, ...]:
-    """Returns the existing model folders that Gazebo's environment variables name."""
-    entries = [Path(e).expanduser() for variable in _MODEL_VARIABLES for e in os.environ.get(variable, "").split(":") if e]
+    """Returns the existing model folders of Gazebo's environment variables and of ``$GIBSON_SIM_PATH``."""
+    entries = [entry for variable in _MODEL_VARIABLES for entry in _entries(variable)]
+    entries += [folder for entry in _entries(PATH_VARIABLE) for folder in (entry / "models", entry / "objects", entry)]
     return tuple(dict.fromkeys(Path(os.path.realpath(e)) for e in entries if e.is_dir()))
+
+
+def _entries(variable: str) -> list[Path]:
+    return [Path(entry).expanduser() for entry in os.environ.get(variable, "").split(":") if entry]
 
 
 def ancestors(folder: Path, levels: int = _LEVELS_UP) -> tuple[Path, ...]:
     """Returns the folder and up to ``levels`` folders above it, never the file system's root."""
     return tuple(p for p in (folder, *folder.parents)[: levels + 1] if p != p.parent)
+
+
+def installed_paths(rest: str) -> Iterator[Path]:
+    """Yields where ``<package>/<path>`` may lie in the ROS installations of the environment."""
+    name, _, inner = rest.partition("/")
+    for variable, below in (("AMENT_PREFIX_PATH", f"share/{name}"), ("ROS_PACKAGE_PATH", name)):
+        yield from (entry / below / inner for entry in _entries(variable))
 
 
 class UriResolver:
@@ -39,7 +53,7 @@ class UriResolver:
 
     def find(self, uri: str, base: Path) -> Path | None:
         """Returns the file or folder that ``uri`` means in a file of folder ``base``, or None."""
-        return next((p for p in self._candidates(unquote(uri.strip()), base) if p.exists()), None)
+        return next((p for p in self._candidates(unquote(uri.strip()), base) if _exists(p)), None)
 
     def _candidates(self, uri: str, base: Path) -> Iterator[Path]:
         scheme, separator, rest = uri.partition("://")
@@ -48,6 +62,7 @@ class UriResolver:
             yield from self._package(rest)
         elif scheme == "model":
             yield from (folder / rest.lstrip("/") for folder in self.model_folders)
+            yield from installed_paths(rest.lstrip("/"))
         elif scheme == "file":
             if rest.startswith("/"):
                 yield Path(rest)
@@ -59,11 +74,18 @@ class UriResolver:
 
     def _package(self, rest: str) -> Iterator[Path]:
         name, _, inner = rest.partition("/")
-        for variable, below in (("AMENT_PREFIX_PATH", f"share/{name}"), ("ROS_PACKAGE_PATH", name)):
-            yield from (Path(entry) / below / inner for entry in os.environ.get(variable, "").split(":") if entry)
+        yield from installed_paths(rest)
         yield from (folder / inner for folder in self.ancestors if folder.name == name)
         # The package is not installed, and the scene may hold only a part of it: try shorter and shorter ends of the path.
         parts = [p for p in inner.split("/") if p]
         for start in range(len(parts)):
             yield from (folder.joinpath(name, *parts[start:]) for folder in self.ancestors if start == 0)
             yield from (folder.joinpath(*parts[start:]) for folder in self.ancestors)
+
+
+def _exists(path: Path) -> bool:
+    """Whether something is there; False too for what can be no path (a NUL in it, a name that is too long)."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False

@@ -1,21 +1,28 @@
-"""A planar lidar: which rays to cast, and what a driver reports for their lengths (REP 117). Pure: a callable casts the rays."""
+"""Lidars: which rays to cast, and what a driver reports for their lengths (REP 117). Pure: a callable casts the rays.
+
+A planar lidar gives a scan, a lidar of many channels a cloud of points. Errors come in the order of a sensor: noise, steps of
+resolution, limits of range, rays that do not return.
+"""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.geometry.transforms import matrix_from_quat
-from gibson_sim.robots.sensor_specs import LidarSpec
+from gibson_sim.geometry.transforms import Mat4, matrix_from_quat
+from gibson_sim.robots.noise import NoiseSource
+from gibson_sim.robots.sensor_specs import TURN, Lidar3DSpec, LidarSpec
 from gibson_sim.types import SceneState
 
 CastRays = Callable[[NDArray[np.float64], NDArray[np.float64], float, "str | None"], NDArray[np.float64]]
 """``PhysicsWorld.cast_rays``: (origins (N, 3), directions (N, 3), range_max, body to ignore) to distances (N,)."""
+_ERROR, _DROPOUT = 0, 1
+"""Purposes of the random numbers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +42,8 @@ class Scan:
     """Metres."""
     ranges: NDArray[np.float32]
     """(beams,) float32, metres; +inf = no return, -inf = nearer than range_min (REP 117)."""
+    name: str = "scan"
+    """Of the lidar."""
 
     @property
     def angle_max(self) -> float:
@@ -42,10 +51,41 @@ class Scan:
         return self.angle_min + self.angle_increment * (len(self.ranges) - 1)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class LidarCloud:
+    """Where the rays of one turn returned from, ring by ring; a ray without a return in range has no point."""
+
+    name: str
+    """Of the lidar."""
+    stamp_ns: int
+    """Stamp of the state that was measured."""
+    link: str
+    """``<body>/<link>`` in whose frame the points are."""
+    points: NDArray[np.float32]
+    """(N, 3) float32, metres."""
+    ring: NDArray[np.uint16]
+    """(N,) uint16, 0 = the lowest."""
+    intensity: NDArray[np.float32]
+    """(N,) float32; 0: collision shapes have no colour."""
+
+
 def ray_directions(spec: LidarSpec) -> NDArray[np.float64]:
-    """Returns unit vectors, (beams, 3), in the link's frame: the first along x, then counter-clockwise about z."""
-    angles = np.arange(spec.beams) * (2 * math.pi / spec.beams)
+    """Returns unit vectors, (beams, 3), in the link's frame: the first at ``angle_min`` from x, then counter-clockwise about z."""
+    angles = spec.angle_min + np.arange(spec.beams) * spec.angle_increment
     return np.stack([np.cos(angles), np.sin(angles), np.zeros(spec.beams)], axis=-1)
+
+
+@lru_cache(maxsize=8)
+def cloud_directions(spec: Lidar3DSpec) -> NDArray[np.float64]:
+    """Returns unit vectors, (channels * samples, 3), in the link's frame, ring by ring from the lowest; not to be written to."""
+    middle = (spec.elevation_min + spec.elevation_max) / 2
+    first = spec.elevation_min if spec.channels > 1 else middle
+    elevation = np.linspace(first, spec.elevation_max, spec.channels)[:, None]
+    azimuth = np.arange(spec.samples)[None, :] * (TURN / spec.samples)
+    parts = np.broadcast_arrays(np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation))
+    directions = np.stack(parts, axis=-1).reshape(-1, 3)
+    directions.setflags(write=False)
+    return directions
 
 
 def world_rays(T_world_link: ArrayLike, directions: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -60,34 +100,85 @@ def world_rays(T_world_link: ArrayLike, directions: ArrayLike) -> tuple[NDArray[
     return np.broadcast_to(T[:3, 3], turned.shape).copy(), turned
 
 
-def ranges_from_distances(distances: ArrayLike, spec: LidarSpec) -> NDArray[np.float32]:
-    """Returns what a driver reports, float32, for distances in metres (+inf = nothing hit)."""
-    d = np.asarray(distances, dtype=np.float64)
-    return np.where(d > spec.range_max, np.inf, np.where(d < spec.range_min, -np.inf, d)).astype(np.float32)
+def ranges_from_distances(
+    distances: ArrayLike, spec: LidarSpec | Lidar3DSpec, noise: NoiseSource | None = None, stamp_ns: int = 0
+) -> NDArray[np.float32]:
+    """Returns what a driver reports, float32, for distances in metres (+inf = nothing hit).
+
+    Args:
+        distances: (N,), those of the rays.
+        spec: Which errors there are, and the limits of range.
+        noise: Random numbers of this lidar; None = no error, whatever the spec says.
+        stamp_ns: When; it decides the random numbers.
+    """
+    d = np.array(distances, dtype=np.float64)
+    if noise is not None:
+        if spec.range_noise > 0.0:
+            d += spec.range_noise * noise.at(stamp_ns, _ERROR).standard_normal(d.shape)
+        if spec.resolution > 0.0:
+            d = np.rint(d / spec.resolution) * spec.resolution
+    ranges = np.where(d > spec.range_max, np.inf, np.where(d < spec.range_min, -np.inf, d)).astype(np.float32)
+    if noise is not None and spec.dropout > 0.0:
+        ranges[noise.at(stamp_ns, _DROPOUT).random(d.shape) < spec.dropout] = np.inf
+    return ranges
 
 
-def measure_scan(spec: LidarSpec, state: SceneState, cast_rays: CastRays) -> Scan:
+def measure_scan(spec: LidarSpec, state: SceneState, cast_rays: CastRays, noise: NoiseSource | None = None) -> Scan:
     """Returns what the lidar sees in ``state``; the body that carries it is invisible to it.
 
     Args:
         spec: The lidar; its link must be in the state.
         state: Where the link is.
         cast_rays: Casts rays in the world that ``state`` was taken from, at the same step.
+        noise: Random numbers of this lidar; None = no error, whatever the spec says.
     """
-    if spec.link not in state.links:
-        raise ConfigError(f"lidar on {spec.link!r}: no such link in the scene; known: {', '.join(state.links)}")
-    row = state.links.index(spec.link)
-    T_world_link = np.eye(4)
-    T_world_link[:3, :3] = matrix_from_quat(state.quats_xyzw[row])
-    T_world_link[:3, 3] = state.positions[row]
-    origins, directions = world_rays(T_world_link, ray_directions(spec))
-    distances = cast_rays(origins, directions, spec.range_max, spec.link.partition("/")[0])
+    distances = _cast(spec, state, cast_rays, ray_directions(spec))
     return Scan(
         stamp_ns=state.stamp_ns,
         link=spec.link,
-        angle_min=0.0,
-        angle_increment=2 * math.pi / spec.beams,
+        angle_min=spec.angle_min,
+        angle_increment=spec.angle_increment,
         range_min=spec.range_min,
         range_max=spec.range_max,
-        ranges=ranges_from_distances(distances, spec),
+        ranges=ranges_from_distances(distances, spec, noise, state.stamp_ns),
+        name=spec.name,
     )
+
+
+def measure_cloud(spec: Lidar3DSpec, state: SceneState, cast_rays: CastRays, noise: NoiseSource | None = None) -> LidarCloud:
+    """Returns where the rays of a lidar with many channels return from; the body that carries it is invisible to it.
+
+    The arguments are those of ``measure_scan``.
+    """
+    directions = cloud_directions(spec)
+    ranges = ranges_from_distances(_cast(spec, state, cast_rays, directions), spec, noise, state.stamp_ns)
+    hit = np.flatnonzero(np.isfinite(ranges))
+    return LidarCloud(
+        name=spec.name,
+        stamp_ns=state.stamp_ns,
+        link=spec.link,
+        points=(directions[hit] * ranges[hit, None]).astype(np.float32),
+        ring=(hit // spec.samples).astype(np.uint16),
+        intensity=np.zeros(len(hit), dtype=np.float32),
+    )
+
+
+def link_pose(state: SceneState, link: str, what: str) -> Mat4:
+    """Returns T_world_link; ConfigError, which begins with ``what``, where the state has no such link."""
+    if link not in state.links:
+        raise ConfigError(f"{what} on {link!r}: no such link in the scene; known: {', '.join(state.links)}")
+    row = state.links.index(link)
+    T_world_link = np.eye(4)
+    T_world_link[:3, :3] = matrix_from_quat(state.quats_xyzw[row])
+    T_world_link[:3, 3] = state.positions[row]
+    return T_world_link
+
+
+def _cast(
+    spec: LidarSpec | Lidar3DSpec, state: SceneState, cast_rays: CastRays, directions: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Returns the distance along each ray, (N,), metres; +inf = nothing in range."""
+    origins, turned = world_rays(link_pose(state, spec.link, "lidar"), directions)
+    # With an error a wall just beyond the range may be reported as in range, as on a real lidar.
+    margin = 5.0 * spec.range_noise + spec.resolution
+    return cast_rays(origins, turned, spec.range_max + margin, spec.link.partition("/")[0])

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
+from functools import lru_cache
 
 from gibson_sim.types import NS_PER_S
 
 _STAMP_ERROR = Fraction(1, 1_000_000)
 """Stamps are whole nanoseconds, cut off: a tick at 1/60 s is stamped a little early."""
+
+
+@lru_cache
+def _ratio(rate_hz: float, tick_hz: int) -> tuple[int, int]:
+    ratio = Fraction(rate_hz).limit_denominator(1000) / tick_hz
+    return ratio.numerator, ratio.denominator
 
 
 def is_due(tick: int, rate_hz: float, tick_hz: int) -> bool:
@@ -17,8 +24,8 @@ def is_due(tick: int, rate_hz: float, tick_hz: int) -> bool:
     It is due whenever ``tick * rate_hz / tick_hz`` reaches a new whole number: evenly where the rate divides ``tick_hz``, else
     at the nearest later tick, so that the mean rate holds. Rates above ``tick_hz`` are due at every tick. Tick 0 is never due.
     """
-    ratio = Fraction(rate_hz).limit_denominator(1000) / tick_hz
-    return tick > 0 and math.floor(tick * ratio) > math.floor((tick - 1) * ratio)
+    up, down = _ratio(rate_hz, tick_hz)
+    return tick > 0 and tick * up // down > (tick - 1) * up // down
 
 
 def images_due(after_ns: int, until_ns: int, rate_hz: float) -> int:

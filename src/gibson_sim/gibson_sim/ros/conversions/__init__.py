@@ -14,10 +14,23 @@ from gibson_sim.ros.conversions.basics import (
     vector_from_msg,
     vector_to_msg,
 )
-from gibson_sim.ros.conversions.images import ENCODINGS, array_from_image, camera_info_to_msg, frame_to_image_msgs, image_to_msg
+from gibson_sim.ros.conversions.images import (
+    ENCODINGS,
+    array_from_image,
+    camera_info_to_msg,
+    compressed_to_msg,
+    frame_to_image_msgs,
+    image_to_msg,
+    label_info_to_msg,
+    label_info_type,
+)
+from gibson_sim.ros.conversions.maps import floor_map_to_msg
+from gibson_sim.ros.conversions.point_cloud import cloud_to_msg
 from gibson_sim.ros.conversions.robot import (
     ground_truth_to_msg,
+    joint_command_from_msg,
     joint_states_to_msg,
+    odometry_covariances,
     odometry_pose,
     odometry_to_msg,
     planar_from_odometry,
@@ -25,16 +38,28 @@ from gibson_sim.ros.conversions.robot import (
     velocity_from_msg,
 )
 from gibson_sim.ros.conversions.scene import scene_from_msg, scene_state_from_msg, scene_state_to_msg, scene_to_msg
+from gibson_sim.ros.conversions.sensors import battery_to_msg, bumper_to_msgs, lidar_cloud_to_msg, imu_to_msg
 
 __all__ = [
     "ENCODINGS",
     "array_from_image",
+    "battery_to_msg",
+    "bumper_to_msgs",
     "camera_info_to_msg",
+    "cloud_to_msg",
+    "compressed_to_msg",
+    "floor_map_to_msg",
     "frame_to_image_msgs",
     "ground_truth_to_msg",
     "header_to_msg",
     "image_to_msg",
+    "imu_to_msg",
+    "joint_command_from_msg",
     "joint_states_to_msg",
+    "label_info_to_msg",
+    "label_info_type",
+    "lidar_cloud_to_msg",
+    "odometry_covariances",
     "odometry_pose",
     "odometry_to_msg",
     "planar_from_odometry",

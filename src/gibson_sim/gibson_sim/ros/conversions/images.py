@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from array import array
+from collections.abc import Collection, Sequence
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from gibson_sim.errors import SceneError
 from gibson_sim.ros.conversions.basics import (
@@ -75,17 +78,47 @@ def image_to_msg(pixels: NDArray[Any], encoding: str, stamp_ns: int, frame_id: s
     return msg
 
 
-def frame_to_image_msgs(frame: Frame) -> dict[str, Image | CameraInfo]:
-    """Returns the messages of a frame by what they carry (see ``names.camera_topics``), all with the frame's stamp."""
+def frame_to_image_msgs(frame: Frame, wanted: Collection[str] | None = None) -> dict[str, Image | CameraInfo]:
+    """Returns the messages of a frame by what they carry (see ``names.camera_topics``), all with the frame's stamp.
+
+    Args:
+        frame: its images.
+        wanted: make only these; None = all.
+    """
     camera, stamp = frame.camera, frame.stamp_ns
     msgs: dict[str, Image | CameraInfo] = {}
+    info = camera_info_to_msg(camera, stamp)
     for output, encoding in ENCODINGS.items():
         pixels = getattr(frame, output)
-        if pixels is not None:
+        if pixels is None:
+            continue
+        if wanted is None or output in wanted:
             msgs[output] = image_to_msg(pixels, encoding, stamp, camera.optical_frame)
-    info = camera_info_to_msg(camera, stamp)
-    msgs.update({f"{kind}_info": info for kind in tuple(msgs)})
+        if wanted is None or f"{output}_info" in wanted:
+            msgs[f"{output}_info"] = info
     return msgs
+
+
+def compressed_to_msg(data: bytes, image_format: str, stamp_ns: int, frame_id: str) -> CompressedImage:
+    """Returns a compressed image; ``data`` and ``image_format`` are those of ``sensors.image_codecs``."""
+    return CompressedImage(header=header_to_msg(stamp_ns, frame_id), format=image_format, data=array("B", data))
+
+
+def label_info_type() -> Any:
+    """Returns the message type that names labels: of vision_msgs where it is installed, else ours with the same fields."""
+    return _label_module().LabelInfo
+
+
+def label_info_to_msg(labels: Sequence[str], stamp_ns: int, frame_id: str) -> Any:
+    """Returns the names of the numbers in label images: the index is the number."""
+    module = _label_module()
+    make = getattr(module, "VisionClass", None) or module.LabelClass
+    classes = [make(class_id=number, class_name=name) for number, name in enumerate(labels)]
+    return module.LabelInfo(header=header_to_msg(stamp_ns, frame_id), class_map=classes, threshold=1.0)
+
+
+def _label_module() -> Any:
+    return import_module("gibson_msgs.msg" if find_spec("vision_msgs") is None else "vision_msgs.msg")
 
 
 def array_from_image(msg: Image) -> NDArray[Any]:

@@ -11,8 +11,10 @@ from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry as RosOdometry
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState, LaserScan
+from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMsg
 
 from gibson_sim.geometry.transforms import quat_from_rpy
+from gibson_sim.robots.joint_commands import JointCommand, JointPositions, JointTrajectory, JointVelocities, TrajectoryPoint
 from gibson_sim.ros.conversions.basics import (
     header_to_msg,
     pose_to_msg,
@@ -23,6 +25,7 @@ from gibson_sim.ros.conversions.basics import (
 from gibson_sim.scenes.spec import WORLD_FRAME
 from gibson_sim.sensors.lidar import Scan
 from gibson_sim.types import (
+    NS_PER_S,
     JointStates,
     Odometry,
     Pose,
@@ -44,6 +47,7 @@ def odometry_to_msg(odometry: Odometry, stamp_ns: int, parent: str, child: str) 
     msg = RosOdometry(header=header_to_msg(stamp_ns, parent), child_frame_id=child)
     msg.pose.pose = pose_to_msg(odometry_pose(odometry))
     msg.twist.twist.linear.x = odometry.linear
+    msg.twist.twist.linear.y = odometry.lateral
     msg.twist.twist.angular.z = odometry.angular
     # A planar base says nothing of z, roll and pitch: a filter must not trust them, nor divide by zero.
     msg.pose.covariance = _diagonal((1e-3, 1e-3, 1e6, 1e6, 1e6, 1e-3))
@@ -99,3 +103,38 @@ def planar_from_odometry(msg: RosOdometry) -> tuple[float, float, float, int]:
     q = msg.pose.pose.orientation
     yaw = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
     return msg.pose.pose.position.x, msg.pose.pose.position.y, yaw, time_from_msg(msg.header.stamp)
+
+
+def odometry_covariances() -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Returns the covariances of pose and twist, 36 numbers each: those of good wheels on a hard floor.
+
+    A planar base says nothing of z, roll and pitch: a filter must not trust them, nor divide by zero.
+    """
+    pose = _diagonal((1e-3, 1e-3, 1e6, 1e6, 1e6, 1e-3))
+    twist = _diagonal((1e-4, 1e-4, 1e6, 1e6, 1e6, 1e-4))
+    return tuple(pose.tolist()), tuple(twist.tolist())
+
+
+def joint_command_from_msg(msg: JointTrajectoryMsg | JointState) -> JointCommand:
+    """Returns what a JointTrajectory or a JointState asks of joints.
+
+    A JointState with positions says where they shall go; one with velocities alone, how fast they shall move.
+
+    Raises:
+        CommandError: it cannot be obeyed as it is.
+    """
+    if isinstance(msg, JointState):
+        names = tuple(msg.name)
+        if not msg.position and msg.velocity:
+            return JointVelocities(tuple(msg.velocity), names)
+        return JointPositions(tuple(msg.position), names)
+    points = tuple(
+        TrajectoryPoint(
+            point.time_from_start.sec * NS_PER_S + point.time_from_start.nanosec,
+            tuple(point.positions),
+            tuple(point.velocities),
+            tuple(point.accelerations),
+        )
+        for point in msg.points
+    )
+    return JointTrajectory(tuple(msg.joint_names), points, time_from_msg(msg.header.stamp))

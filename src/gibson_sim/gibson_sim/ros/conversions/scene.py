@@ -254,6 +254,7 @@ def _camera_from_msg(msg: RosCamera, link: str) -> CameraSpec:
         fov=msg.fov,
         samples=msg.samples,
         stereo_baseline=msg.stereo_baseline,
+        frame_id="" if msg.frame_id == f"{msg.name}_optical_frame" else msg.frame_id,
         effects=ImageEffects(**{f.name: getattr(msg.effects, f.name) for f in fields(ImageEffects)}),
         depth_noise=DepthNoise(**{f.name: getattr(msg.depth_noise, f.name) for f in fields(DepthNoise)}),
     )

@@ -1,0 +1,284 @@
+"""``gibson-sim bench ros``: starts the processes that are measured, one scenario after the other, and reports."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from gibson_sim.bench import timing
+from gibson_sim.bench.ros import (
+    PARTS,
+    ClockCost,
+    Pipeline,
+    Plan,
+    Report,
+    RoundTrip,
+    Size,
+    Transport,
+    pipeline_of,
+    spread,
+)
+from gibson_sim.bench.ros_report import report_text
+from gibson_sim.cli.environment import RMW, domain_of, node_environment, require_nodes
+from gibson_sim.cli.processes import DomainLock
+from gibson_sim.cli.shared_memory import remove_dead_segments
+from gibson_sim.errors import ConfigError, GibsonSimError
+from gibson_sim.resources import find_robot
+
+PATIENCE_S = 120.0
+"""How much longer than it should a process may take before it is given up."""
+START_S = 90.0
+"""Within so long a simulation has loaded its scene."""
+ROBOT, CAMERA = "gibson_bot", "camera"
+Tell = Callable[[str], None]
+
+
+def add_parser(kinds: Any) -> None:
+    """Adds the sub-command."""
+    parser = kinds.add_parser(
+        "ros",
+        help="round trips of a state, transport of images, the cost of /clock, images of a running simulation",
+        description="Measures what goes between processes, and what waiting for it costs. Nothing else should run meanwhile.",
+    )
+    parser.add_argument("--quick", action="store_true", help="fewer and shorter: about two minutes instead of ten")
+    parser.add_argument("--only", default="", metavar="A,B", help=f"some of {', '.join(PARTS)} (default: all)")
+    parser.add_argument("--scene", help="scene of the running simulation (default: flat)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="JSON file to write")
+    parser.add_argument("--markdown", action="store_true", help="print Markdown")
+    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Prints the tables, and writes the JSON file if one is named."""
+    require_nodes()
+    report = measure(plan_of(args), domain_id=args.domain_id, tell=lambda line: print(line, file=sys.stderr, flush=True))
+    print(report_text(report, markdown=args.markdown))
+    if args.json is not None:
+        args.json.parent.mkdir(parents=True, exist_ok=True)
+        args.json.write_text(json.dumps(report.as_json(), indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+def plan_of(args: argparse.Namespace) -> Plan:
+    """Returns what the options ask for.
+
+    Raises:
+        ConfigError: one of them cannot be read.
+    """
+    parts = tuple(part for part in args.only.split(",") if part) or PARTS
+    unknown = [part for part in parts if part not in PARTS]
+    if unknown:
+        raise ConfigError(f"--only: {', '.join(unknown)} must be of {', '.join(PARTS)}")
+    plan = Plan.quick(parts) if args.quick else Plan(parts)
+    return replace(plan, scene=args.scene) if args.scene else plan
+
+
+def measure(plan: Plan, *, domain_id: int | None = None, tell: Tell = lambda line: None) -> Report:
+    """Returns what was measured. A scenario that fails is left out, and the report says why.
+
+    Args:
+        plan: What to measure.
+        domain_id: ROS domain; None = as the environment says.
+        tell: Is told in one line what is going on.
+
+    Raises:
+        AlreadyRunningError: a simulation runs in this domain; its /clock would be listened to.
+    """
+    # Nobody else is to hear this /clock, nor these images.
+    environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **node_environment(domain_id=domain_id)}
+    report = Report(
+        timing.now(), timing.version(), timing.machine(), timing.cores(), timing.load(), {"Python": _python(), **_versions()}
+    )
+    found: dict[str, list[Any]] = {"state": [], "transport": [], "clock": [], "pipeline": []}
+    left_out: list[str] = []
+    domain = domain_of(environment)
+    for part, scenarios in _scenarios(plan, environment):
+        for name, scenario in scenarios:
+            tell(f"{part}: {name}")
+            try:
+                # The simulation takes the lock itself.
+                lock = None if part == "pipeline" else DomainLock(domain)
+                try:
+                    found[part].append(scenario())
+                finally:
+                    if lock is not None:
+                        lock.close()
+            except BenchError as error:
+                left_out.append(f"{part}, {name}: {error}")
+    remove_dead_segments()
+    return replace(
+        report,
+        round_trips=tuple(found["state"]),
+        transports=tuple(found["transport"]),
+        clocks=tuple(found["clock"]),
+        pipelines=tuple(found["pipeline"]),
+        left_out=tuple(left_out),
+    )
+
+
+class BenchError(GibsonSimError):
+    """A scenario came to nothing."""
+
+
+_Scenario = tuple[str, Callable[[], Any]]
+
+
+def _scenarios(plan: Plan, environment: Mapping[str, str]) -> Iterator[tuple[str, list[_Scenario]]]:
+    """Yields each part of the plan with its scenarios: a name, and what measures it."""
+
+    def later(function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
+        return lambda: function(plan, environment, *arguments)
+
+    parts: dict[str, list[_Scenario]] = {
+        "state": [(f"{way.executor}, {way.form}", later(_round_trip, way.executor, way.form)) for way in plan.ways],
+        "transport": [(kind, later(_transport, kind)) for kind in ("standard", "events", "wait set")],
+        "clock": [
+            (f"{who.executor}, use_sim_time {who.use_sim_time}, parameter services {who.parameter_services}", later(_clock, who))
+            for who in plan.listeners
+        ],
+        "pipeline": [
+            (f"{size} at {hz:g} Hz", later(_pipeline, size, hz)) for size in plan.pipeline_sizes for hz in plan.pipeline_hz
+        ],
+    }
+    yield from ((part, parts[part]) for part in plan.parts)
+
+
+def _round_trip(plan: Plan, environment: Mapping[str, str], executor: str, form: str) -> RoundTrip:
+    with _role(environment, "pong", executor=executor, form=form):
+        options = {"executor": executor, "form": form, "bodies": plan.bodies, "count": plan.round_trips}
+        found = _answer(environment, "ping", plan.round_trips * 0.05, **options)
+    return RoundTrip(executor, form, plan.bodies, len(found["us"]), spread(found["us"]))
+
+
+def _transport(plan: Plan, environment: Mapping[str, str], executor: str) -> Transport:
+    size, hz = plan.transport_size, plan.transport_hz
+    options = {"width": size.width, "height": size.height, "hz": hz, "count": plan.transport_images}
+    with _role(environment, "image_source", **options):
+        ages = _answer(environment, "image_sink", plan.transport_images / hz, executor=executor)["ms"]
+    return Transport(executor, size, hz, plan.transport_images, len(ages), spread(ages))
+
+
+def _clock(plan: Plan, environment: Mapping[str, str], who: Any) -> ClockCost:
+    options = {"executor": who.executor, "use_sim_time": who.use_sim_time, "parameter_services": who.parameter_services}
+    with _role(environment, "clock_source", hz=plan.clock_hz):
+        found = _answer(environment, "listener", plan.clock_s, seconds=plan.clock_s, **options)
+    percent, seconds, clock_s = round(found["cpu_percent"], 3), round(found["seconds"], 2), round(found["clock_s"], 2)
+    return ClockCost(who.executor, who.use_sim_time, who.parameter_services, seconds, percent, clock_s)
+
+
+def _pipeline(plan: Plan, environment: Mapping[str, str], size: Size, hz: float) -> Pipeline:
+    with tempfile.TemporaryDirectory(prefix="gibson-sim-bench-") as folder:
+        robot = write_robot(Path(folder), size)
+        options = ["--scene", plan.scene, "--robot", str(robot), "--camera-rate", f"{hz:g}", "--camera-outputs", "rgb,depth"]
+        command = [sys.executable, "-m", "gibson_sim.cli.main", "run", *options]
+        with _process(command, environment):
+            topics = [f"{CAMERA}/image_raw", f"{CAMERA}/depth/image_raw"]
+            heard = _answer(environment, "pipeline_sink", START_S + plan.pipeline_s, topics=topics, seconds=plan.pipeline_s)
+    return pipeline_of(size, hz, heard)
+
+
+def write_robot(folder: Path, size: Size) -> Path:
+    """Writes our robot with images of another size into a folder; returns its file."""
+    original = find_robot(ROBOT)
+    settings = yaml.safe_load((original / "robot.yaml" if original.is_dir() else original).read_text(encoding="utf-8"))
+    home = original if original.is_dir() else original.parent
+    settings["urdf"] = str((home / settings["urdf"]).resolve())
+    settings["cameras"] = [{**settings["cameras"][0], "width": size.width, "height": size.height}]
+    path = folder / "robot.yaml"
+    path.write_text(yaml.safe_dump(settings), encoding="utf-8")
+    return path
+
+
+def _command(role: str, options: Mapping[str, Any]) -> list[str]:
+    return [sys.executable, "-m", "gibson_sim.ros.bench_nodes", role, json.dumps(options)]
+
+
+@contextmanager
+def _role(environment: Mapping[str, str], role: str, **options: Any) -> Iterator[None]:
+    """Plays a role in a process of its own while the block lasts."""
+    with _process(_command(role, options), environment):
+        yield
+
+
+@contextmanager
+def _process(command: list[str], environment: Mapping[str, str]) -> Iterator[None]:
+    """Runs a process while the block lasts; what it says matters only where the block fails."""
+    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as output:
+        process = subprocess.Popen(command, env=dict(environment), stdin=subprocess.DEVNULL, stdout=output, stderr=output)
+        try:
+            yield
+        except BenchError as error:
+            code = process.poll()
+            output.seek(0)
+            how = "runs" if code is None else f"ended with code {code}"
+            raise BenchError(f"{error}; the other process {how}: {_last_line(output.read())}") from error
+        finally:
+            _end(process)
+
+
+def _end(process: subprocess.Popen[Any]) -> None:
+    for number, seconds in ((signal.SIGINT, 20.0), (signal.SIGKILL, 10.0)):
+        if process.poll() is None:
+            process.send_signal(number)
+        try:
+            process.wait(seconds)
+            return
+        except subprocess.TimeoutExpired:
+            continue
+
+
+def _answer(environment: Mapping[str, str], role: str, expected_s: float, **options: Any) -> dict[str, Any]:
+    """Returns what a role found.
+
+    Raises:
+        BenchError: nothing, or it took far too long.
+    """
+    try:
+        done = subprocess.run(
+            _command(role, options),
+            env=dict(environment),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=expected_s + PATIENCE_S,
+        )
+    except subprocess.TimeoutExpired:
+        raise BenchError(f"the {role} process was still at it after {expected_s + PATIENCE_S:.0f} s") from None
+    lines = done.stdout.splitlines()
+    if done.returncode or not lines:
+        raise BenchError(f"the {role} process ended with code {done.returncode}: {_last_line(done.stderr)}")
+    found: dict[str, Any] = json.loads(lines[-1])
+    return found
+
+
+def _last_line(text: str) -> str:
+    return next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "it said nothing")
+
+
+def _python() -> str:
+    return sys.version.split()[0]
+
+
+def _versions() -> dict[str, str]:
+    """Returns the versions of what carries the messages, as far as pip knows them."""
+    found = {}
+    for package, name in (("rclpy", "rclpy"), ("ros-rmw-fastrtps-cpp", RMW), ("ros-fastrtps", "Fast DDS"), ("numpy", "NumPy")):
+        try:
+            found[name] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return {**found, "ROS": os.environ.get("ROS_DISTRO", "jazzy")}

@@ -1,0 +1,42 @@
+"""``gibson-sim top``: what a running simulation does, live in the terminal."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from typing import Any
+
+from gibson_sim.cli.environment import PARENT_VARIABLE, domain_of, node_environment, require_nodes
+
+PATIENCE_S, PERIOD_S = 5.0, 1.0
+
+
+def add_parser(subparsers: Any) -> None:
+    """Adds the sub-command."""
+    parser = subparsers.add_parser(
+        "top",
+        help="show what a running simulation does: real-time factor, and what each node says of itself",
+        description="Shows /diagnostics of all nodes, once a second. Exits with 3 where no simulation runs in this ROS domain.",
+    )
+    parser.add_argument("--once", action="store_true", help="print one table and end")
+    parser.add_argument(
+        "--topics",
+        action="store_true",
+        help="also the rate of every topic; subscribes to all of them, images too, which costs time",
+    )
+    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replaces this process by the node, which so gets the terminal, its signals and its exit code."""
+    require_nodes()
+    environment = node_environment(domain_id=args.domain_id)
+    domain_of(environment)
+    del environment[PARENT_VARIABLE]
+    options = {"once": args.once, "topics": args.topics, "patience_s": PATIENCE_S, "period_s": PERIOD_S}
+    command = [sys.executable, "-m", "gibson_sim.ros.top_node", json.dumps(options)]
+    sys.stdout.flush()
+    os.execve(command[0], command, environment)

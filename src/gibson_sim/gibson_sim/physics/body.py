@@ -1,0 +1,184 @@
+"""One body in the engine: its joints, and the frames of its links."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from gibson_sim.errors import MeshError, PhysicsError
+from gibson_sim.geometry.transforms import Mat4, matrices_from_poses, quat_from_matrix, transform_points
+from gibson_sim.physics.bullet import Bullet, BulletBody, cross, right_multiplication, turn
+from gibson_sim.robots.rigid import RigidGroup, physics_urdf, rigid_groups
+from gibson_sim.robots.spec import Shape
+from gibson_sim.robots.urdf import UrdfModel
+from gibson_sim.scenes.mesh import load_shape
+from gibson_sim.types import Pose, Vec3
+
+_ENGINE_MESHES = (".obj", ".stl")
+"""Formats that the engine reads by itself, as convex hulls."""
+
+
+class BodyInWorld:
+    """A tree of links in the engine."""
+
+    def __init__(self, bullet: Bullet, name: str, model: UrdfModel, start: Pose, *, static: bool = False) -> None:
+        self.name, self.model, self.start, self.static = name, model, start, static
+        self.links = tuple(link.name for link in model.links)
+        """Names of all links, the root first, without the body name."""
+        groups, warnings = rigid_groups(model)
+        self.warnings = [*model.warnings, *warnings]
+        self._groups = tuple(self._readable(bullet, group) for group in groups)
+        self._urdf = physics_urdf(model, self._groups, concave=static)
+        self.load(bullet)
+        self._rows, self._offsets, self._turns = self._link_table()
+        self._outlines: list[tuple[int, Shape, Mat4, NDArray[np.float64]]] | None = None
+
+    def load(self, bullet: Bullet) -> None:
+        """Puts the body at its start, at rest, its joints at 0."""
+        self.body: BulletBody = bullet.load_urdf(self._urdf, self.start, self.name, static=self.static)
+        self._hold_joints(bullet)
+
+    def _hold_joints(self, bullet: Bullet) -> None:
+        """A body without motors: doors and drawers swing freely, slowed by what friction and damping its joints have."""
+        for joint in self.model.joints:
+            if joint.kind in ("revolute", "prismatic", "continuous") and joint.damping:
+                bullet.damp_joint(self.body, self.body.joint_indices[joint.name], joint.damping)
+
+    def root_state(self, bullet: Bullet) -> tuple[Pose, NDArray[np.float64], NDArray[np.float64]]:
+        """Returns T_world_root, linear (m/s) and angular (rad/s) velocity of the root link's origin, world frame."""
+        positions, quats, twists = self.link_states(bullet)
+        x, y, z = positions[0].tolist()
+        qx, qy, qz, qw = quats[0].tolist()
+        return Pose((x, y, z), (qx, qy, qz, qw)), twists[0, :3], twists[0, 3:]
+
+    def set_state(self, bullet: Bullet, pose: Pose | None, linear: Vec3 | None, angular: Vec3 | None) -> None:
+        """Moves the root, or changes its velocity; what is None stays."""
+        now, linear_now, angular_now = self.root_state(bullet)
+        if pose is not None:
+            bullet.place(self.body, pose)
+        if self.static:
+            return
+        spin = np.asarray(angular_now if angular is None else angular, dtype=np.float64)
+        speed = np.asarray(linear_now if linear is None else linear, dtype=np.float64)
+        bullet.set_velocity(self.body, (pose or now).quat_xyzw, speed, spin)
+
+    def link_states(self, bullet: Bullet) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Returns positions (N, 3), quaternions (N, 4) and twists (N, 6) of all links, world frame, in the order of ``links``."""
+        groups = bullet.link_states(self.body)
+        rows = self._rows
+        group_quats, angular = groups.quats_xyzw[rows], groups.angular[rows]
+        offsets = turn(group_quats, self._offsets)
+        quats = np.matmul(self._turns, group_quats[:, :, None])[:, :, 0]
+        linear = groups.linear[rows] + cross(angular, offsets)
+        return groups.positions[rows] + offsets, quats, np.concatenate([linear, angular], axis=1)
+
+    def bounds(self, bullet: Bullet, T_frame_world: Mat4) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Returns the lowest and highest corner, each (3,), metres, in a frame, of the box about all collision shapes.
+
+        A body without any has its root's origin as both corners.
+        """
+        states = bullet.link_states(self.body)
+        world_from_group = matrices_from_poses(states.positions, states.quats_xyzw)
+        low, high = np.full(3, np.inf), np.full(3, -np.inf)
+        if self._outlines is None:
+            self._outlines = [(self._row(g), s, T, _corners(s)) for g in self._groups for s, T in g.collisions]
+        for row, shape, T_group_shape, points in self._outlines:
+            lowest, highest = _extent(shape, T_frame_world @ world_from_group[row] @ T_group_shape, points)
+            low, high = np.minimum(low, lowest), np.maximum(high, highest)
+        if not np.isfinite(low).all():
+            root = transform_points(T_frame_world, states.positions[:1])[0]
+            return root, root.copy()
+        return low, high
+
+    def _row(self, group: RigidGroup) -> int:
+        return 0 if group.joint is None else 1 + self.body.joint_indices[group.joint.name]
+
+    def link_of_row(self, row: int) -> str:
+        """Returns the name of the link whose rigid group is the engine's link ``row`` (-1 = the root)."""
+        for group in self._groups:
+            if self._row(group) == row + 1:
+                return group.name
+        raise PhysicsError(f"body {self.name!r} has no link number {row}")
+
+    def _readable(self, bullet: Bullet, group: RigidGroup) -> RigidGroup:
+        """Returns the group with meshes in files that the engine reads; a mesh that cannot be read is left out, with a warning."""
+        collisions = []
+        for shape, pose in group.collisions:
+            try:
+                collisions.append((self._readable_shape(bullet, shape), pose))
+            except MeshError as error:
+                self.warnings.append(f"{self.name}: collision of link {group.name!r} is left out: {error}")
+        return replace(group, collisions=collisions)
+
+    def _readable_shape(self, bullet: Bullet, shape: Shape) -> Shape:
+        if shape.kind != "mesh" or (not self.static and shape.mesh.lower().endswith(_ENGINE_MESHES)):
+            return shape
+        vertices, triangles = load_shape(shape, [Path(shape.mesh).parent]).merged() if self.static else hull_of(shape)
+        return Shape("mesh", (1.0, 1.0, 1.0), str(bullet.write_mesh(vertices, triangles)))
+
+    def _link_table(self) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
+        """Returns, for every link, the row of its rigid group in the engine and T_group_link.
+
+        T_group_link comes as a position, (3,), and as the matrix, (4, 4), that multiplies a quaternion from the right.
+        """
+        home: dict[str, tuple[RigidGroup, Mat4]] = {
+            link: (group, T_group_link) for group in self._groups for link, T_group_link in group.members.items()
+        }
+        rows, offsets, turns = [], [], []
+        for link in self.links:
+            group, T_group_link = home[link]
+            rows.append(self._row(group))
+            offsets.append(T_group_link[:3, 3])
+            turns.append(right_multiplication(quat_from_matrix(T_group_link[:3, :3])))
+        return np.array(rows, dtype=np.intp), np.array(offsets), np.array(turns)
+
+
+@lru_cache(maxsize=256)
+def hull_of(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Returns corners (N, 3) and triangles (T, 3), outward, of the convex hull of a mesh under its scale.
+
+    Raises:
+        MeshError: the mesh cannot be read, or is flat.
+    """
+    vertices, _ = load_shape(shape, [Path(shape.mesh).parent]).merged()
+    try:
+        hull = ConvexHull(vertices)
+    except (QhullError, ValueError) as error:
+        raise MeshError(f"{shape.mesh}: has no convex hull (flat, or not finite); give the body a box as collision") from error
+    corners = vertices[hull.vertices]
+    number = {int(v): i for i, v in enumerate(hull.vertices)}
+    triangles = np.array([[number[int(v)] for v in simplex] for simplex in hull.simplices], dtype=np.int64)
+    a, b, c = (corners[triangles[:, i]] for i in range(3))
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    triangles[inward] = triangles[inward][:, ::-1]
+    return corners, triangles
+
+
+def _corners(shape: Shape) -> NDArray[np.float64]:
+    """Returns the points, (N, 3), that decide how far a shape reaches; none for round ones."""
+    if shape.kind == "box":
+        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        return np.asarray(signs * np.array(shape.size) / 2)
+    if shape.kind == "mesh":
+        vertices, _ = load_shape(shape, [Path(shape.mesh).parent]).merged()
+        return vertices
+    return np.zeros((0, 3))
+
+
+def _extent(shape: Shape, T_frame_shape: Mat4, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Returns the lowest and the highest corner, each (3,), of a shape in a frame."""
+    if len(points):
+        corners = transform_points(T_frame_shape, points)
+        return corners.min(axis=0), corners.max(axis=0)
+    center, radius = T_frame_shape[:3, 3], shape.size[0]
+    if shape.kind == "sphere":
+        reach = np.full(3, radius)
+    else:
+        axis = T_frame_shape[:3, 2]
+        reach = np.abs(axis) * shape.size[1] / 2 + radius * np.sqrt(np.maximum(0.0, 1.0 - axis**2))
+    return center - reach, center + reach

@@ -1,0 +1,122 @@
+"""The arrays and textures of batches on the GPU, and how they grow and shrink when a scene changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.render import gl as GL
+from gibson_sim.render.batches import MATERIAL, PLACEMENT, VERTEX, Batches
+from gibson_sim.render.textures import upload_texture
+from gibson_sim.scenes.mesh_types import TextureSource
+
+_ATTRIBUTES = (
+    # location, numbers, type, normalised (None = whole numbers stay whole), field
+    (0, 3, GL.FLOAT, 0, "position"),
+    (1, 3, GL.SHORT, 1, "normal"),
+    (2, 1, GL.UNSIGNED_SHORT, None, "material"),
+    (3, 2, GL.FLOAT, 0, "uv"),
+    (4, 1, GL.UNSIGNED_INT, None, "label"),
+)
+_PLACED = ((5, "link"), (6, "label"), (7, "material"))
+"""Location and field of what is the same for a whole draw."""
+
+
+class SceneMemory:
+    """Buffers and textures; the context must be current in every call.
+
+    Args:
+        gl: of the context.
+        compress: keep textures compressed.
+    """
+
+    def __init__(self, gl: GL.Gl, *, compress: bool) -> None:
+        self._gl, self._compress = gl, compress
+        self._sizes: dict[int, int] = {}
+        self._texture_of: dict[int, tuple[int, int]] = {}
+        self.textures: list[int] = []
+        """In the order of ``Batches.textures``."""
+        self.array = 0
+        """The vertex array that draws read."""
+        self._vertices, self._indices, self._placements = (self._buffer() for _ in range(3))
+        self.materials, self.looks = self._buffer(), self._buffer()
+        self.array = gl.create("glCreateVertexArrays")
+        for location, numbers, kind, normalised, name in _ATTRIBUTES:
+            offset = VERTEX.fields[name][1]  # type: ignore[index]
+            if normalised is None:
+                gl.glVertexArrayAttribIFormat(self.array, location, numbers, kind, offset)
+            else:
+                gl.glVertexArrayAttribFormat(self.array, location, numbers, kind, normalised, offset)
+            gl.glVertexArrayAttribBinding(self.array, location, 0)
+            gl.glEnableVertexArrayAttrib(self.array, location)
+        # One number for each instance, of which there is one in each draw: its base says which link the draw belongs to.
+        for location, name in _PLACED:
+            gl.glVertexArrayAttribIFormat(self.array, location, 1, GL.UNSIGNED_INT, PLACEMENT.fields[name][1])  # type: ignore[index]
+            gl.glVertexArrayAttribBinding(self.array, location, 1)
+            gl.glEnableVertexArrayAttrib(self.array, location)
+        gl.glVertexArrayBindingDivisor(self.array, 1, 1)
+        gl.glVertexArrayVertexBuffer(self.array, 0, self._vertices, 0, VERTEX.itemsize)
+        gl.glVertexArrayVertexBuffer(self.array, 1, self._placements, 0, PLACEMENT.itemsize)
+        gl.glVertexArrayElementBuffer(self.array, self._indices)
+
+    def take(self, b: Batches, same_vertices: int, same_indices: int) -> None:
+        """Takes batches.
+
+        Args:
+            b: what is drawn from now on.
+            same_vertices: so many of its vertices, from the first on, are there already.
+            same_indices: likewise.
+        """
+        self._fill(self._vertices, b.vertices if len(b.vertices) else np.zeros(1, VERTEX), same_vertices)
+        self._fill(self._indices, b.indices if len(b.indices) else np.zeros(1, np.uint32), same_indices)
+        self._fill(self.materials, b.materials if len(b.materials) else np.zeros(1, MATERIAL))
+        self._fill(self._placements, b.placements)
+        if len(b.looks):
+            self._fill(self.looks, b.looks)
+        self._take_textures(b.textures)
+
+    def _buffer(self) -> int:
+        buffer = self._gl.create("glCreateBuffers")
+        self._sizes[buffer] = 0
+        return buffer
+
+    def _fill(self, buffer: int, data: NDArray[Any], same: int = 0) -> None:
+        """Puts rows into a buffer that has the first ``same`` of them already; one that grows gets room to grow again."""
+        gl, data = self._gl, np.ascontiguousarray(data)
+        if data.nbytes > self._sizes[buffer]:
+            size = data.nbytes if not self._sizes[buffer] else data.nbytes * 3 // 2
+            gl.glNamedBufferData(buffer, size, None, GL.STATIC_DRAW)
+            self._sizes[buffer], same = size, 0
+        rest = data[same:]
+        if len(rest):
+            gl.glNamedBufferSubData(buffer, same * data.itemsize, rest.nbytes, rest.ctypes.data)
+
+    def _take_textures(self, sources: Sequence[TextureSource]) -> None:
+        """Makes the textures that are missing and frees those that are not needed any more."""
+        wanted = {id(source): source for source in sources}
+        for gone in [key for key in self._texture_of if key not in wanted]:
+            self._gl.delete("glDeleteTextures", self._texture_of.pop(gone)[0])
+        for key, source in wanted.items():
+            if key not in self._texture_of:
+                self._texture_of[key] = upload_texture(self._gl, source.pixels, compress=self._compress)
+        self.textures = [self._texture_of[id(source)][0] for source in sources]
+
+    @property
+    def texture_bytes(self) -> int:
+        """What the textures of materials take."""
+        return sum(size for _, size in self._texture_of.values())
+
+    def close(self) -> None:
+        """Frees everything; a second call does nothing."""
+        textures, buffers = list(self._texture_of.values()), list(self._sizes)
+        self._texture_of, self._sizes, self.textures = {}, {}, []
+        for texture, _ in textures:
+            self._gl.delete("glDeleteTextures", texture)
+        for buffer in buffers:
+            self._gl.delete("glDeleteBuffers", buffer)
+        if self.array:
+            self._gl.delete("glDeleteVertexArrays", self.array)
+            self.array = 0

@@ -1,0 +1,87 @@
+"""Kinematics of a car: two driven wheels behind, two steered ones in front. Pure arithmetic, SI units.
+
+A command is a forward speed and a yaw rate (as ros2_controllers' ackermann_steering_controller takes a Twist); their quotient is
+the curvature of the path of the rear axle's middle. Curvatures are 1/m, positive to the left.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from gibson_sim.robots.drive_spec import AckermannSpec
+from gibson_sim.robots.drives.base import Drive, DriveJoint, DriveTargets, PlanarVelocity, approach
+
+
+def steering_angles(curvature: float, car: AckermannSpec) -> tuple[float, float]:
+    """Returns the angles (left, right) of the front wheels, radians, positive to the left, whose axles meet at the turn's centre."""
+    half = curvature * car.steering_separation / 2
+    return math.atan2(car.wheelbase * curvature, 1.0 - half), math.atan2(car.wheelbase * curvature, 1.0 + half)
+
+
+def curvature_from_steering(left: float, right: float, car: AckermannSpec) -> float:
+    """Returns the curvature that front wheels at these angles (radians) give; where they disagree, the mean of both."""
+    half = car.steering_separation / 2
+    a, b = math.tan(left), math.tan(right)
+    return (a / (car.wheelbase + a * half) + b / (car.wheelbase - b * half)) / 2
+
+
+def rear_speeds(linear: float, curvature: float, car: AckermannSpec) -> tuple[float, float]:
+    """Returns the speeds (left, right) of the rear wheels, rad/s, forward positive, for ``linear`` (m/s) on a curved path."""
+    half = curvature * car.wheel_separation / 2
+    return linear * (1.0 - half) / car.wheel_radius, linear * (1.0 + half) / car.wheel_radius
+
+
+def wanted_motion(wanted: PlanarVelocity, car: AckermannSpec) -> tuple[float, float | None]:
+    """Returns (speed m/s, curvature 1/m) within the car's limits; curvature None = stay as steered.
+
+    The path asked for comes first: a speed that is too high for it is cut, and a turn that is too tight becomes the tightest one.
+    A yaw rate without a speed steers to the end without driving, because a car cannot turn on the spot.
+    """
+    speed, yaw_rate = wanted.linear, wanted.angular
+    if speed == 0.0:
+        return 0.0, math.copysign(car.max_curvature, yaw_rate) if yaw_rate else None
+    curvature = min(max(yaw_rate / speed, -car.max_curvature), car.max_curvature)
+    fastest = min(car.max_linear, car.max_angular / abs(curvature)) if curvature else car.max_linear
+    return min(max(speed, -fastest), fastest), curvature
+
+
+class AckermannDrive(Drive):
+    """Steers at a limited rate while it speeds up; odometry takes the rear wheels' mean and the front wheels' angles."""
+
+    def __init__(self, spec: AckermannSpec) -> None:
+        super().__init__(
+            (DriveJoint(spec.left_joint, spec.left_sign), DriveJoint(spec.right_joint, spec.right_sign, False)),
+            spec.max_wheel_torque,
+            (
+                DriveJoint(spec.left_steering_joint, spec.left_steering_sign),
+                DriveJoint(spec.right_steering_joint, spec.right_steering_sign, False),
+            ),
+            spec.max_steering_torque,
+        )
+        self._spec = spec
+        self._steering = 0.0
+        """Angle of a single front wheel in the middle, radians: what the limit of the rate counts."""
+
+    def targets(self, wanted: PlanarVelocity, dt: float) -> DriveTargets:
+        """Comes nearer to ``wanted`` and returns what the motors must do for it."""
+        car = self._spec
+        speed, curvature = wanted_motion(wanted, car)
+        if curvature is not None:
+            steering = math.atan(curvature * car.wheelbase)
+            self._steering = approach(self._steering, steering, math.pi / 2, car.max_steering_rate * dt)
+        linear = approach(self.velocity.linear, speed, car.max_linear, car.max_linear_acceleration * dt)
+        now = math.tan(self._steering) / car.wheelbase
+        self.velocity = PlanarVelocity(*self._arc(linear, now))
+        return DriveTargets(rear_speeds(linear, now, car), steering_angles(now, car))
+
+    def travel(self, increments: Sequence[float], angles: Sequence[float]) -> tuple[float, float, float]:
+        """Returns what the wheels say that the base did: forward, left (m), turn (rad)."""
+        car = self._spec
+        forward = car.wheel_radius * (increments[0] + increments[1]) / 2
+        return self._arc(forward, curvature_from_steering(angles[0], angles[1], car))
+
+    def _arc(self, forward: float, curvature: float) -> tuple[float, float, float]:
+        """Returns the motion of the base, (x, y, yaw), for that of the rear axle's middle, which never goes sideways."""
+        turn = forward * curvature
+        return forward, -self._spec.rear_axle_x * turn, turn

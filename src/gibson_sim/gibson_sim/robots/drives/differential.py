@@ -1,0 +1,65 @@
+"""Kinematics of wheels on the left and on the right: differential drive and skid steer. Pure arithmetic, SI units.
+
+Wheel speeds are positive when the wheel rolls forward, whatever the sign of its joint's axis in the URDF.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gibson_sim.robots.drive_spec import DifferentialSpec
+from gibson_sim.robots.drives.base import BaseServo, Drive, DriveJoint, DriveTargets, PlanarVelocity, approach
+
+
+def wheel_speeds(linear: float, angular: float, drive: DifferentialSpec) -> tuple[float, float]:
+    """Returns the speeds (left, right), rad/s, that move the base at ``linear`` (m/s) and ``angular`` (rad/s)."""
+    half = drive.wheel_separation / 2
+    return (linear - angular * half) / drive.wheel_radius, (linear + angular * half) / drive.wheel_radius
+
+
+def body_velocity(left: float, right: float, drive: DifferentialSpec) -> PlanarVelocity:
+    """Returns the base's velocity for wheels that roll without slip at ``left`` and ``right``, rad/s."""
+    return PlanarVelocity(
+        linear=drive.wheel_radius * (left + right) / 2,
+        angular=drive.wheel_radius * (right - left) / drive.wheel_separation,
+    )
+
+
+def limit_velocity(current: PlanarVelocity, wanted: PlanarVelocity, limits: DifferentialSpec, dt: float) -> PlanarVelocity:
+    """Returns the velocity to command next: towards ``wanted`` from ``current``, within the drive's speeds and accelerations.
+
+    Args:
+        current: Velocity commanded in the step before.
+        wanted: Velocity asked for; not altered, and its ``lateral`` is not obeyed: these wheels do not roll sideways.
+        limits: Speeds and accelerations.
+        dt: Seconds between the two.
+    """
+    return PlanarVelocity(
+        linear=approach(current.linear, wanted.linear, limits.max_linear, limits.max_linear_acceleration * dt),
+        angular=approach(current.angular, wanted.angular, limits.max_angular, limits.max_angular_acceleration * dt),
+    )
+
+
+class DifferentialDrive(Drive):
+    """Wheels stand left, right, left, right ...; those of one side turn alike, and odometry takes their mean."""
+
+    def __init__(self, spec: DifferentialSpec) -> None:
+        ones = (1.0,) * len(spec.left_joints)
+        left = [DriveJoint(*item, True) for item in zip(spec.left_joints, spec.left_signs or ones, strict=True)]
+        right = [DriveJoint(*item, False) for item in zip(spec.right_joints, spec.right_signs or ones, strict=True)]
+        servo = BaseServo(spec.traction, spec.wheel_separation / 2) if spec.kind == "skid_steer" else None
+        joints = [joint for pair in zip(left, right, strict=True) for joint in pair]
+        super().__init__(joints, spec.max_wheel_torque, servo=servo)
+        self._spec = spec
+
+    def targets(self, wanted: PlanarVelocity, dt: float) -> DriveTargets:
+        """Comes nearer to ``wanted`` and returns what the motors must do for it."""
+        self.velocity = limit_velocity(self.velocity, wanted, self._spec, dt)
+        left, right = wheel_speeds(self.velocity.linear, self.velocity.angular, self._spec)
+        return DriveTargets((left, right) * len(self._spec.left_joints))
+
+    def travel(self, increments: Sequence[float], angles: Sequence[float]) -> tuple[float, float, float]:
+        """Returns what the wheels say that the base did: forward, left (m), turn (rad)."""
+        wheels = len(self._spec.left_joints)
+        linear, _, angular = body_velocity(sum(increments[::2]) / wheels, sum(increments[1::2]) / wheels, self._spec)
+        return linear, 0.0, angular

@@ -1,0 +1,48 @@
+"""Kinematics of wheels with rollers: mecanum and omni wheels, any number, anywhere. Pure arithmetic, SI units."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from gibson_sim.robots.drive_spec import OmniSpec
+from gibson_sim.robots.drives.base import BaseServo, Drive, DriveJoint, DriveTargets, PlanarVelocity, approach
+
+
+class OmniDrive(Drive):
+    """Moves the base in every direction; odometry is the motion that fits all wheels best."""
+
+    def __init__(self, spec: OmniSpec) -> None:
+        reach = sum(math.hypot(*wheel.position) for wheel in spec.wheels) / len(spec.wheels)
+        joints = [DriveJoint(wheel.joint, is_left=wheel.position[1] > 0.0) for wheel in spec.wheels]
+        super().__init__(joints, spec.max_wheel_torque, servo=BaseServo(spec.traction, reach))
+        self._spec = spec
+        matrix = spec.wheel_matrix()
+        self._wheels_from_body = [tuple(row) for row in matrix.tolist()]
+        self._body_from_wheels = [tuple(row) for row in np.linalg.pinv(matrix).tolist()]
+
+    def targets(self, wanted: PlanarVelocity, dt: float) -> DriveTargets:
+        """Comes nearer to ``wanted`` and returns what the motors must do for it."""
+        now, limits = self.velocity, self._spec
+        self.velocity = PlanarVelocity(
+            approach(now.linear, wanted.linear, limits.max_linear, limits.max_linear_acceleration * dt),
+            approach(now.lateral, wanted.lateral, limits.max_lateral, limits.max_lateral_acceleration * dt),
+            approach(now.angular, wanted.angular, limits.max_angular, limits.max_angular_acceleration * dt),
+        )
+        return DriveTargets(self.wheel_speeds(self.velocity))
+
+    def travel(self, increments: Sequence[float], angles: Sequence[float]) -> tuple[float, float, float]:
+        """Returns what the wheels say that the base did: forward, left (m), turn (rad)."""
+        return self.body_velocity(increments)
+
+    def wheel_speeds(self, velocity: PlanarVelocity) -> tuple[float, ...]:
+        """Returns the speeds of the joints, rad/s, that move the base so."""
+        x, y, yaw = velocity
+        return tuple(a * x + b * y + c * yaw for a, b, c in self._wheels_from_body)
+
+    def body_velocity(self, speeds: Sequence[float]) -> PlanarVelocity:
+        """Returns the base's velocity for joints at ``speeds``, rad/s: with more than three wheels the best fit (least squares)."""
+        x, y, yaw = (sum(a * b for a, b in zip(row, speeds, strict=True)) for row in self._body_from_wheels)
+        return PlanarVelocity(x, y, yaw)

@@ -1,0 +1,114 @@
+"""What arms, grippers and lifts can be told: pure values, checked where they are born. Radians or metres, and per second.
+
+Limits are those of a robot, so ``joint_control`` checks them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from gibson_sim.errors import CommandError
+
+Numbers = tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class JointPositions:
+    """Joints shall go there as fast as they may, and stay."""
+
+    positions: Numbers
+    names: tuple[str, ...] = ()
+    """One for each number; empty = all joints that obey commands, in the order of the URDF."""
+
+    def __post_init__(self) -> None:
+        _check_row("joint positions", self.names, self.positions)
+
+
+@dataclass(frozen=True, slots=True)
+class JointVelocities:
+    """Joints shall move so until they are told otherwise, or come to a limit; 0 = stay where they are."""
+
+    velocities: Numbers
+    names: tuple[str, ...] = ()
+    """One for each number; empty = all joints that obey commands, in the order of the URDF."""
+
+    def __post_init__(self) -> None:
+        _check_row("joint velocities", self.names, self.velocities)
+
+
+@dataclass(frozen=True, slots=True)
+class TrajectoryPoint:
+    """Where the joints of a trajectory shall be at one time; numbers are in the order of its names."""
+
+    time_ns: int
+    """Nanoseconds from the start of the trajectory."""
+    positions: Numbers
+    velocities: Numbers = ()
+    """Empty = not given."""
+    accelerations: Numbers = ()
+    """Empty = not given; they need velocities."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointTrajectory:
+    """Joints shall pass through points (trajectory_msgs/JointTrajectory); without any, all joints stop where they are.
+
+    Between two points: a quintic where both have accelerations, a cubic where both have velocities, else a straight line.
+    """
+
+    names: tuple[str, ...]
+    points: tuple[TrajectoryPoint, ...]
+    start_ns: int = 0
+    """Simulation time from which the times count; 0 = when it arrives."""
+
+    def __post_init__(self) -> None:
+        if not self.points:
+            return
+        if not self.names:
+            raise CommandError(f"joint trajectory has {len(self.points)} points but no joint names; give one for each position")
+        _check_names("joint trajectory", self.names)
+        last = -1
+        for i, point in enumerate(self.points):
+            what = f"joint trajectory: point {i}"
+            for key in ("positions", "velocities", "accelerations"):
+                row = getattr(point, key)
+                if row or key == "positions":
+                    _check_count(what, key, len(row), len(self.names))
+                    _check_finite(f"{what}: {key}", self.names, row)
+            if point.accelerations and not point.velocities:
+                raise CommandError(f"{what} has accelerations but no velocities; give both, or no accelerations")
+            if point.time_ns <= last:
+                before = "must not be negative" if i == 0 else f"must be after that of point {i - 1}, {last / 1e9:g} s"
+                raise CommandError(f"{what}: time_from_start is {point.time_ns / 1e9:g} s, {before}")
+            last = point.time_ns
+
+
+JointCommand = JointPositions | JointVelocities | JointTrajectory
+
+
+def _check_row(what: str, names: tuple[str, ...], row: Numbers) -> None:
+    if not row:
+        raise CommandError(f"{what}: there are none; send one number for each joint")
+    if names:
+        _check_names(what, names)
+        _check_count(what, "numbers", len(row), len(names))
+    _check_finite(what, names, row)
+
+
+def _check_names(what: str, names: tuple[str, ...]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            raise CommandError(f"{what}: joint {name!r} is named twice; name each joint once")
+
+
+def _check_count(what: str, key: str, count: int, joints: int) -> None:
+    if count != joints:
+        raise CommandError(f"{what} has {count} {key} for {joints} joints; send one for each")
+
+
+def _check_finite(what: str, names: tuple[str, ...], row: Numbers) -> None:
+    for i, value in enumerate(row):
+        if not math.isfinite(value):
+            joint = repr(names[i]) if names else f"number {i}"
+            raise CommandError(f"{what}: that of joint {joint} is {value}, must be finite")

@@ -1,0 +1,58 @@
+"""Services whose answers may come later, while everything else goes on.
+
+A coroutine would do the same with rclpy's standard executor, at the price of being polled; the EventsExecutor does not know services
+that are coroutines. So the answer itself says that it is not there yet, and the service keeps the header that it must be sent with.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+from rclpy._rclpy_pybind11 import InvalidHandle, RCLError
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+
+logger = logging.getLogger(__name__)
+
+
+class Later:
+    """An answer that is not there yet. ``answer`` must be called once, in the thread of the executor."""
+
+    def __init__(self) -> None:
+        self._response: Any = None
+        self._send: Callable[[Any], None] | None = None
+
+    def answer(self, response: Any) -> None:
+        """Sends the answer."""
+        self._response = response
+        if self._send is not None:
+            self._send(response)
+
+    def send_with(self, send: Callable[[Any], None]) -> None:
+        """Says how to send it; does it where it is there already."""
+        self._send = send
+        if self._response is not None:
+            send(self._response)
+
+
+class DeferredService:
+    """A service whose handler returns the response, or a ``Later``. A client that went away does not disturb it."""
+
+    def __init__(
+        self, node: Node, kind: Any, name: str, handle: Callable[[Any, Any], Any], *, callback_group: CallbackGroup | None = None
+    ) -> None:
+        self._service = node.create_service(kind, name, handle, callback_group=callback_group)
+        self._send_now = self._service.send_response
+        # Both executors look this up on the service, and call it with what the handler returned.
+        self._service.send_response = self._send
+
+    def _send(self, response: Any, header: Any) -> None:
+        if isinstance(response, Later):
+            response.send_with(lambda final: self._send(final, header))
+            return
+        try:
+            self._send_now(response, header)
+        except (RCLError, InvalidHandle) as error:
+            logger.info("an answer of %s could not be sent, its client may be gone: %s", self._service.srv_name, error)

@@ -1,0 +1,85 @@
+"""Counts what a render node draws and publishes, and how long that takes, in wall time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from statistics import median
+from typing import Any
+
+from gibson_sim.sensors.schedule import images_due
+from gibson_sim.types import NS_PER_S, CameraSpec, Frame
+
+
+class RenderStats:
+    """What a render node has done since it began.
+
+    Simulation time may jump back: then a new epoch begins, and what lies between the two is neither skipped nor measured.
+    """
+
+    def __init__(self) -> None:
+        self.skipped = 0
+        self.last_stamp_ns = 0
+        self._images: dict[str, int] = {}
+        self._outputs: dict[str, int] = {}
+        self._messages: dict[str, int] = {}
+        self._stamps: dict[str, int] = {}
+        self._draw_ms: list[float] = []
+        self._publish_ms: list[float] = []
+        self._first_ns = self._last_ns = 0
+        self._simulated_ns = 0
+        self._reported = (time.monotonic_ns(), 0, 0)
+
+    def count_due(self, camera: CameraSpec, stamp_ns: int, *, wanted: bool) -> None:
+        """Takes that an image of a camera was due: those due since the last one were skipped, unless nobody wanted them."""
+        last = self._stamps.pop(camera.name, None)
+        if not wanted:
+            return
+        if last is not None and stamp_ns > last:
+            self.skipped += images_due(last, stamp_ns, camera.rate_hz) - 1
+        self._stamps[camera.name] = stamp_ns
+
+    def add(self, started_ns: int, drawn_ns: int, published_ns: int, frames: list[Frame], messages: Iterable[str]) -> None:
+        """Takes images drawn at one stamp, the kinds of messages made of them, and when that was done (monotonic clock)."""
+        stamp_ns = frames[0].stamp_ns
+        if not self._images:
+            self._first_ns = published_ns
+        else:
+            self._simulated_ns += max(0, stamp_ns - self.last_stamp_ns)
+        for frame in frames:
+            name = frame.camera.name
+            self._images[name] = self._images.get(name, 0) + 1
+            for output in frame.camera.outputs:
+                key = f"{name}/{output}"
+                self._outputs[key] = self._outputs.get(key, 0) + 1
+        for kind in messages:
+            self._messages[kind] = self._messages.get(kind, 0) + 1
+        self._draw_ms.append((drawn_ns - started_ns) / 1e6)
+        self._publish_ms.append((published_ns - drawn_ns) / 1e6)
+        self._last_ns, self.last_stamp_ns = published_ns, stamp_ns
+
+    def since_last_report(self) -> dict[str, float]:
+        """Returns figures since the last call."""
+        now, total = time.monotonic_ns(), sum(self._images.values())
+        then, images, skipped = self._reported
+        self._reported = (now, total, self.skipped)
+        seconds = (now - then) / NS_PER_S
+        return {
+            "images_per_s": (total - images) / seconds,
+            "skipped": self.skipped - skipped,
+            "draw_ms": self._draw_ms[-1] if self._draw_ms else 0.0,
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """Returns figures since the first image."""
+        wall_s, sim_s = (self._last_ns - self._first_ns) / NS_PER_S, self._simulated_ns / NS_PER_S
+        return {
+            "images": dict(self._images),
+            "outputs": dict(self._outputs),
+            "messages": dict(self._messages),
+            "images_per_wall_s": {k: (n - 1) / wall_s if wall_s else 0.0 for k, n in self._images.items()},
+            "images_per_simulated_s": {k: (n - 1) / sim_s if sim_s else 0.0 for k, n in self._images.items()},
+            "skipped_images": self.skipped,
+            "draw_ms_median": median(self._draw_ms) if self._draw_ms else 0.0,
+            "publish_ms_median": median(self._publish_ms) if self._publish_ms else 0.0,
+        }

@@ -1,0 +1,209 @@
+"""The topics of one robot."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+from geometry_msgs.msg import Twist, TwistStamped, WrenchStamped
+from nav_msgs.msg import Odometry as RosOdometry
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import BatteryState, Imu, JointState, LaserScan, PointCloud2
+from std_msgs.msg import Bool, String
+from tf2_msgs.msg import TFMessage
+from trajectory_msgs.msg import JointTrajectory
+
+from gibson_sim.config import PhysicsConfig
+from gibson_sim.errors import CommandError
+from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_matrix
+from gibson_sim.physics.world import PhysicsWorld
+from gibson_sim.robots.spec import RobotSpec
+from gibson_sim.ros import conversions, names, qos
+from gibson_sim.ros.fast_publish import FastJointStates, FastOdometry, FastTf, RelativePoses
+from gibson_sim.ros.stamped_commands import StampedCommands
+from gibson_sim.scenes.spec import WORLD_FRAME
+from gibson_sim.sensors.suite import Measurements, SensorSuite
+from gibson_sim.types import SceneState
+
+_MOST_COMMANDS = 16
+"""Commands kept between two steps; older ones give way."""
+
+
+class RobotInterface:
+    """Publishes what a robot measures and hands it what it is told. All names are relative to its namespace.
+
+    Subscribes:
+        cmd_vel (geometry_msgs/Twist and geometry_msgs/TwistStamped): wanted velocity, base frame, m/s and rad/s. Older than
+            ``cmd_vel_timeout`` it stops the robot. A NaN or an infinity is ignored with a warning.
+        joint_trajectory (trajectory_msgs/JointTrajectory): joints pass through its points; an empty one stops them.
+        joint_command (sensor_msgs/JointState): joints go to the positions, or turn at the velocities where it has no positions.
+
+    Publishes:
+        tf and tf_static: odom -> base, moving links; sensors, latched. One robot alone uses /tf and /tf_static.
+        odom (nav_msgs/Odometry): from the wheels. ground_truth/odom (nav_msgs/Odometry): the truth, in the map frame.
+        joint_states (sensor_msgs/JointState), robot_description (std_msgs/String, latched).
+        What its file lists: scan (sensor_msgs/LaserScan), lidar/points (sensor_msgs/PointCloud2), imu (sensor_msgs/Imu), bumper
+        (std_msgs/Bool) and bumper/wrench (geometry_msgs/WrenchStamped), battery_state (sensor_msgs/BatteryState).
+    """
+
+    def __init__(
+        self, node: Node, stamped: StampedCommands, robot: RobotSpec, world: PhysicsWorld, config: PhysicsConfig
+    ) -> None:
+        """Makes the publishers and publishes what never changes."""
+        self.robot = robot
+        self.refused_commands = self.commands_seen = 0
+        self._node, self._config = node, config
+        self._base_frame = f"{robot.frame_prefix}{robot.base_link}"
+        self._odom_frame = f"{robot.frame_prefix}{names.ODOM_FRAME}"
+        self._publishers: list[Publisher] = []
+        self._make_publishers()
+        self.sensors = SensorSuite(robot, config.step_hz, config.publish_hz, world.scene.gravity, config.seed)
+        self._commands: deque[Any] = deque(maxlen=_MOST_COMMANDS)
+        self._subscriptions = [
+            node.create_subscription(kind, self._topic(name), lambda msg: self._commands.append(msg), qos.COMMAND)
+            for kind, name in (
+                (Twist, names.CMD_VEL),
+                (JointTrajectory, names.JOINT_TRAJECTORY),
+                (JointState, names.JOINT_COMMAND),
+            )
+        ]
+        self._stamped = stamped
+        self._stamped_subscription = stamped.subscribe(TwistStamped, self._topic(names.CMD_VEL), self._commands)
+        self._rates = {lidar.name: lidar.rate_hz for lidar in robot.sensors.lidars}
+        self._laid_out = -1
+        self._publish_latched()
+
+    def _topic(self, name: str) -> str:
+        return f"{self.robot.namespace}/{name}" if self.robot.namespace else name
+
+    def _publisher(self, kind: type[Any], topic: str, profile: Any) -> Publisher:
+        publisher = self._node.create_publisher(kind, topic, **qos.overridable(profile))
+        self._publishers.append(publisher)
+        return publisher
+
+    def _make_publishers(self) -> None:
+        robot, topic = self.robot, self._topic
+        tf, tf_static = (topic("tf"), topic("tf_static")) if robot.own_tf else (names.TF, names.TF_STATIC)
+        self._tf_pub = self._publisher(TFMessage, tf, qos.TF)
+        self._tf_static_pub = self._publisher(TFMessage, tf_static, qos.LATCHED)
+        self._odom_pub = self._publisher(RosOdometry, topic(names.ODOM), qos.STATE)
+        self._truth_pub = self._publisher(RosOdometry, topic(names.GROUND_TRUTH), qos.STATE)
+        self._joints_pub = self._publisher(JointState, topic(names.JOINT_STATES), qos.STATE)
+        self._description_pub = self._publisher(String, topic(names.ROBOT_DESCRIPTION), qos.LATCHED)
+        sensors = robot.sensors
+        self._sensor_pubs: dict[str, Publisher] = {}
+        for kind, specs in (
+            (LaserScan, sensors.lidars),
+            (PointCloud2, sensors.lidars_3d),
+            (Imu, sensors.imus),
+            (Bool, sensors.bumpers),
+            (BatteryState, () if sensors.battery is None else (sensors.battery,)),
+        ):
+            for spec in specs:
+                self._sensor_pubs[spec.name] = self._publisher(kind, topic(spec.name), qos.SENSOR)
+        for bumper in sensors.bumpers:
+            name = names.bumper_wrench(bumper.name)
+            self._sensor_pubs[name] = self._publisher(WrenchStamped, topic(name), qos.SENSOR)
+
+    def _publish_latched(self) -> None:
+        """Publishes the description and the fixed transforms."""
+        robot, prefix = self.robot, self.robot.frame_prefix
+        self._description_pub.publish(String(data=robot.urdf.read_text(encoding="utf-8")))
+        transforms = [
+            conversions.transform_to_msg(0, prefix + parent, prefix + child, pose)
+            for parent, child, pose in robot.fixed_transforms
+        ]
+        known = {t.child_frame_id for t in transforms}
+        for camera in robot.cameras:
+            if camera.optical_frame not in known:
+                parent = prefix + names.link_name(camera.link)
+                transforms.append(conversions.transform_to_msg(0, parent, camera.optical_frame, camera.pose))
+        self._tf_static_pub.publish(TFMessage(transforms=transforms))
+
+    def take_commands(self, world: PhysicsWorld) -> None:
+        """Hands the commands that arrived since the last step to the world, in the order of their arrival."""
+        while self._commands:
+            self.commands_seen += 1
+            try:
+                self._obey(world, self._commands.popleft())
+            except CommandError as error:
+                self.refused_commands += 1
+                self._node.get_logger().warning(str(error), throttle_duration_sec=1.0)
+
+    def _obey(self, world: PhysicsWorld, msg: Any) -> None:
+        name, now = self.robot.name, world.stamp_ns
+        if isinstance(msg, (JointTrajectory, JointState)):
+            world.command_joints(name, conversions.joint_command_from_msg(msg))
+        else:
+            twist = msg.twist if isinstance(msg, TwistStamped) else msg
+            world.command(name, conversions.velocity_from_msg(twist, now))
+
+    def publish_state(self, world: PhysicsWorld, state: SceneState) -> None:
+        """Publishes where the robot is, with the stamp of the state."""
+        name, stamp = self.robot.name, state.stamp_ns
+        if state.revision != self._laid_out:
+            self._lay_out(state)
+        odometry = world.odometry(name)
+        odom_pose = conversions.odometry_pose(odometry)
+        poses = [(*odom_pose.position, *odom_pose.quat_xyzw), *self._relative.of(state.positions, state.quats_xyzw)]
+        if self._config.publish_map_tf:
+            truth = world.base_pose(name)
+            map_from_odom = pose_from_matrix(matrix_from_pose(truth) @ invert(matrix_from_pose(odom_pose)))
+            poses.append((*map_from_odom.position, *map_from_odom.quat_xyzw))
+        self._tf_pub.publish(self._tf.serialize(stamp, poses))
+        twist = (odometry.linear, odometry.lateral, 0.0), (0.0, 0.0, odometry.angular)
+        self._odom_pub.publish(self._odom.serialize(stamp, odom_pose.position, odom_pose.quat_xyzw, *twist))
+        base, (linear, angular) = world.base_pose(name), world.base_twist(name)
+        truth_msg = self._truth.serialize(stamp, base.position, base.quat_xyzw, linear.tolist(), angular.tolist())
+        self._truth_pub.publish(truth_msg)
+        self._joints_pub.publish(self._joints.serialize(stamp, world.joint_states(name)))
+
+    def _lay_out(self, state: SceneState) -> None:
+        """Prepares the messages; the rows of this robot's links are those of one revision of the scene."""
+        robot, prefix = self.robot, self.robot.frame_prefix
+        row = {link: i for i, link in enumerate(state.links)}
+        pairs = [(row[f"{robot.name}/{parent}"], row[f"{robot.name}/{child}"]) for _, parent, child in robot.moving_joints]
+        self._relative = RelativePoses(pairs)
+        frames = [(self._odom_frame, self._base_frame), *((prefix + p, prefix + c) for _, p, c in robot.moving_joints)]
+        if self._config.publish_map_tf:
+            frames.append((WORLD_FRAME, self._odom_frame))
+        self._tf = FastTf(frames)
+        covariances = conversions.odometry_covariances()
+        self._odom = FastOdometry(self._odom_frame, self._base_frame, *covariances)
+        self._truth = FastOdometry(WORLD_FRAME, self._base_frame)
+        self._joints = FastJointStates([joint for joint, _, _ in robot.moving_joints])
+        self._laid_out = state.revision
+
+    def publish_sensors(self, measured: Measurements) -> None:
+        """Publishes what was measured at a step, each with the stamp of that step."""
+        for scan in measured.scans:
+            scan_time = 1.0 / self._rates[scan.name]
+            self._sensor_pubs[scan.name].publish(conversions.scan_to_msg(scan, self._frame(scan.link), scan_time))
+        for cloud in measured.clouds:
+            self._sensor_pubs[cloud.name].publish(conversions.lidar_cloud_to_msg(cloud, self._frame(cloud.link)))
+        for imu in measured.imus:
+            self._sensor_pubs[imu.name].publish(conversions.imu_to_msg(imu, self._frame(imu.link)))
+        for bumper in measured.bumpers:
+            pressed, wrench = conversions.bumper_to_msgs(bumper, self._frame(bumper.link))
+            self._sensor_pubs[bumper.name].publish(pressed)
+            self._sensor_pubs[names.bumper_wrench(bumper.name)].publish(wrench)
+        for battery in measured.batteries:
+            self._sensor_pubs[battery.name].publish(conversions.battery_to_msg(battery))
+
+    def _frame(self, link: str) -> str:
+        return self.robot.frame_prefix + names.link_name(link)
+
+    def reset(self, step: int) -> None:
+        """Forgets commands and what the sensors remember, after ``step`` steps of the world."""
+        self._commands.clear()
+        self.sensors.reset(step)
+
+    def close(self) -> None:
+        """Takes the topics back."""
+        self._stamped.unsubscribe(self._stamped_subscription)
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        for publisher in self._publishers:
+            self._node.destroy_publisher(publisher)
+        self._publishers, self._subscriptions = [], []

@@ -1,0 +1,330 @@
+"""The services and the action of ``simulation_interfaces`` around a ``Simulator``.
+
+The node's loop is in the docstring of ``gibson_sim.simulation.simulator``. Whatever a client sends, it gets a result: an error of this
+package becomes its code, any other one RESULT_OPERATION_FAILED and a traceback in the log. Services that take long do not hold up the
+loop: steps are made in its turns, worlds are read in a thread, many entities are spawned a few at a time.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable
+from enum import IntEnum
+from functools import partial
+from threading import Thread
+from typing import Any
+
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from simulation_interfaces import srv
+from simulation_interfaces.action import SimulateSteps
+from simulation_interfaces.msg import SpawnResult
+
+from gibson_sim import __version__
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.ros import simulation_conversions as convert
+from gibson_sim.ros.deferred import DeferredService, Later
+from gibson_sim.scenes.spawning import SPAWN_FORMATS
+from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.simulation import catalogue
+from gibson_sim.simulation.codes import Result, SimulationError, SpawnEntitiesCode, shortened
+from gibson_sim.simulation.features import supported_features
+from gibson_sim.simulation.requests import LoadRequest, WorldInfo
+from gibson_sim.simulation.simulator import Simulator
+from gibson_sim.simulation.stepping import StepRequest
+
+logger = logging.getLogger(__name__)
+
+SPAWNS_AT_ONCE = 20
+"""Entities of one request that are spawned before the loop goes on."""
+QUIT_GRACE_S = 0.3
+"""Wall time between the answer to STATE_QUITTING and the end: a writer that is gone cannot repeat what got lost."""
+
+
+class SimulationServices:
+    """Offers the standard on behalf of a node.
+
+    Services (simulation_interfaces/srv, named in snake_case after ``prefix``): GetSimulatorFeatures, Get/SetSimulationState,
+    ResetSimulation, StepSimulation, GetEntities, GetEntitiesStates, Get/SetEntityState, Get/SetEntityInfo, GetEntityBounds,
+    SpawnEntity, SpawnEntities, DeleteEntity, GetSpawnables, GetNamedPoses, GetNamedPoseBounds, LoadWorld, UnloadWorld,
+    GetAvailableWorlds, GetCurrentWorld.
+
+    Actions (simulation_interfaces/action): SimulateSteps.
+    """
+
+    def __init__(self, node: Node, simulator: Simulator, prefix: str = "") -> None:
+        """Starts to offer them; ``prefix`` may hold a namespace, such as ``sim/``. The node must be given to an executor."""
+        self._node, self._simulator = node, simulator
+        self._closed, self._quit_s = False, -math.inf
+        self._goals: dict[bytes, StepRequest] = {}
+        group = ReentrantCallbackGroup()
+        self._services = [
+            DeferredService(node, kind, f"{prefix}{name}", partial(self._handle, handler), callback_group=group)
+            for kind, name, handler in self._table()
+        ]
+        self._action = ActionServer(
+            node,
+            SimulateSteps,
+            f"{prefix}simulate_steps",
+            execute_callback=_never,
+            handle_accepted_callback=self._on_goal,
+            cancel_callback=self._on_cancel,
+            callback_group=group,
+        )
+
+    @property
+    def quit_is_answered(self) -> bool:
+        """Whether a client asked for the end and has had time to hear that it will come."""
+        return self._simulator.quitting and time.monotonic() - self._quit_s >= QUIT_GRACE_S
+
+    def close(self) -> None:
+        """Ends the action; the services end with the node."""
+        if not self._closed:
+            self._closed = True
+            self._action.destroy()
+
+    def _table(self) -> list[tuple[Any, str, Callable[[Any, Any], Later | str | None]]]:
+        """Returns type, name and handler of every service, in the order of the standard's features."""
+        return [
+            (srv.GetSimulatorFeatures, "get_simulator_features", self._get_features),
+            (srv.GetSimulationState, "get_simulation_state", self._get_state),
+            (srv.SetSimulationState, "set_simulation_state", self._set_state),
+            (srv.ResetSimulation, "reset_simulation", self._reset),
+            (srv.StepSimulation, "step_simulation", self._step),
+            (srv.GetEntities, "get_entities", self._get_entities),
+            (srv.GetEntitiesStates, "get_entities_states", self._get_entities_states),
+            (srv.GetEntityState, "get_entity_state", self._get_entity_state),
+            (srv.SetEntityState, "set_entity_state", self._set_entity_state),
+            (srv.GetEntityInfo, "get_entity_info", self._get_entity_info),
+            (srv.SetEntityInfo, "set_entity_info", self._set_entity_info),
+            (srv.GetEntityBounds, "get_entity_bounds", self._get_entity_bounds),
+            (srv.SpawnEntity, "spawn_entity", self._spawn_entity),
+            (srv.SpawnEntities, "spawn_entities", self._spawn_entities),
+            (srv.DeleteEntity, "delete_entity", self._delete_entity),
+            (srv.GetSpawnables, "get_spawnables", self._get_spawnables),
+            (srv.GetNamedPoses, "get_named_poses", self._get_named_poses),
+            (srv.GetNamedPoseBounds, "get_named_pose_bounds", self._get_named_pose_bounds),
+            (srv.LoadWorld, "load_world", self._load_world),
+            (srv.UnloadWorld, "unload_world", self._unload_world),
+            (srv.GetAvailableWorlds, "get_available_worlds", self._get_available_worlds),
+            (srv.GetCurrentWorld, "get_current_world", self._get_current_world),
+        ]
+
+    def _handle(self, handler: Callable[[Any, Any], Later | str | None], request: Any, response: Any) -> Any:
+        """Answers a request: a handler returns None or a remark where all is well, and a Later where it takes longer."""
+        try:
+            outcome = handler(request, response)
+        except Exception as error:
+            return _failed(response, error)
+        return outcome if isinstance(outcome, Later) else _succeeded(response, outcome or "")
+
+    def _get_features(self, _: Any, response: Any) -> None:
+        response.features.features = list(supported_features())
+        response.features.spawn_formats = list(SPAWN_FORMATS)
+        response.features.custom_info = f"Gibson Sim {__version__}, docs/simulation_interfaces.md"
+
+    def _get_state(self, _: Any, response: Any) -> None:
+        response.state.state = int(self._simulator.state)
+
+    def _set_state(self, request: Any, _: Any) -> None:
+        self._simulator.set_state(request.state.state)
+        if self._simulator.quitting:
+            self._quit_s = time.monotonic()
+
+    def _reset(self, request: Any, _: Any) -> None:
+        self._simulator.reset(request.scope)
+
+    def _step(self, request: Any, response: Any) -> Later:
+        later = Later()
+
+        def ended(work: StepRequest) -> None:
+            error = SimulationError(Result.OPERATION_FAILED, work.failure) if work.failure else None
+            later.answer(_succeeded(response) if error is None else _failed(response, error))
+
+        self._simulator.request_steps(request.steps, on_end=ended)
+        return later
+
+    def _get_entities(self, request: Any, response: Any) -> None:
+        found = self._simulator.population.matching(convert.filters_from_msg(request.filters))
+        response.entities = [entity.name for entity in found]
+
+    def _get_entities_states(self, request: Any, response: Any) -> None:
+        self._get_entities(request, response)
+        response.states = [self._state_msg(name) for name in response.entities]
+
+    def _get_entity_state(self, request: Any, response: Any) -> None:
+        response.state = self._state_msg(request.entity)
+
+    def _state_msg(self, name: str) -> Any:
+        state, world = self._simulator.population.state(name), self._simulator.world
+        return convert.entity_state_to_msg(state, 0 if world is None else world.stamp_ns)
+
+    def _set_entity_state(self, request: Any, _: Any) -> None:
+        self._simulator.population.set_state(request.entity, convert.state_change_from_msg(request))
+
+    def _get_entity_info(self, request: Any, response: Any) -> None:
+        response.info = convert.entity_info_to_msg(self._simulator.population.entity(request.entity).info)
+
+    def _set_entity_info(self, request: Any, _: Any) -> None:
+        self._simulator.population.set_info(request.entity, convert.entity_info_from_msg(request.info))
+
+    def _get_entity_bounds(self, request: Any, response: Any) -> None:
+        response.bounds = convert.bounds_to_msg(self._simulator.population.bounds(request.entity))
+
+    def _spawn_entity(self, request: Any, response: Any) -> None:
+        response.entity_name = self._simulator.population.spawn(convert.spawn_request_from_msg(request))
+
+    def _spawn_entities(self, request: Any, response: Any) -> Later:
+        later, waiting = Later(), list(request.spawn_requests)
+        _ = self._simulator.population  # without a world it fails as a whole
+
+        def some() -> None:
+            now, waiting[:] = waiting[:SPAWNS_AT_ONCE], waiting[SPAWNS_AT_ONCE:]
+            for item in now:
+                response.results.append(self._spawned(item))
+            if waiting:
+                self._node.executor.create_task(some)
+            else:
+                failed = sum(result.result.result != Result.OK for result in response.results)
+                text = f"{failed} of {len(response.results)} entities could not be spawned; results says why"
+                error = SimulationError(SpawnEntitiesCode.ENTITIES_SPAWN_FAILED, text)
+                later.answer(_failed(response, error) if failed else _succeeded(response))
+
+        response.results = []
+        some()
+        return later
+
+    def _spawned(self, item: Any) -> SpawnResult:
+        """Spawns one of many and returns how it went."""
+        result = SpawnResult()
+        try:
+            result.entity_name = self._simulator.population.spawn(convert.spawn_request_from_msg(item))
+        except Exception as error:
+            return _failed(result, error)
+        return _succeeded(result)
+
+    def _delete_entity(self, request: Any, _: Any) -> None:
+        self._simulator.population.delete(request.entity)
+
+    def _get_spawnables(self, request: Any, response: Any) -> str:
+        found, remark = catalogue.spawnables(tuple(request.sources))
+        response.spawnables = [convert.spawnable_to_msg(spawnable) for spawnable in found]
+        return remark
+
+    def _get_named_poses(self, request: Any, response: Any) -> None:
+        poses = self._simulator.named_poses(convert.tags_filter_from_msg(request.tags))
+        response.poses = [convert.named_pose_to_msg(pose) for pose in poses]
+
+    def _get_named_pose_bounds(self, request: Any, response: Any) -> None:
+        response.bounds = convert.bounds_to_msg(self._simulator.named_pose_bounds(request.name))
+
+    def _load_world(self, request: Any, response: Any) -> Later:
+        later, wanted = Later(), convert.load_request_from_msg(request)
+        self._simulator.begin_load(wanted)
+        executor = self._node.executor
+
+        def read() -> None:
+            outcome: SceneSpec | Exception
+            try:
+                outcome = self._simulator.read_world(wanted)
+            except Exception as error:
+                outcome = error
+            if not self._closed:
+                executor.create_task(self._world_read, wanted, outcome, response, later)
+
+        Thread(target=read, name="read-world", daemon=True).start()
+        return later
+
+    def _world_read(self, wanted: LoadRequest, outcome: SceneSpec | Exception, response: Any, later: Later) -> None:
+        """Makes the world that was read, in the thread that owns physics."""
+        try:
+            if isinstance(outcome, Exception):
+                raise outcome
+            response.world = convert.world_to_msg(self._simulator.finish_load(wanted, outcome))
+        except Exception as error:
+            self._simulator.abandon_load()
+            later.answer(_failed(response, error))
+        else:
+            later.answer(_succeeded(response))
+
+    def _unload_world(self, _: Any, __: Any) -> None:
+        self._simulator.unload_world()
+
+    def _get_available_worlds(self, request: Any, response: Any) -> None:
+        worlds = catalogue.available_worlds(
+            tuple(request.additional_sources),
+            convert.tags_filter_from_msg(request.filter),
+            continue_on_error=request.continue_on_error,
+        )
+        response.worlds = [convert.world_to_msg(WorldInfo(w.name, w.uri, description=w.description, tags=w.tags)) for w in worlds]
+
+    def _get_current_world(self, _: Any, response: Any) -> None:
+        response.world = convert.world_to_msg(self._simulator.current_world())
+
+    def _on_goal(self, goal: Any) -> None:
+        """Asks for the steps of a goal that was accepted; it is executed, in rclpy's sense, once they are made."""
+        key = bytes(goal.goal_id.uuid)
+
+        def progress(work: StepRequest) -> None:
+            goal.publish_feedback(SimulateSteps.Feedback(completed_steps=work.completed, remaining_steps=work.remaining))
+
+        def ended(work: StepRequest) -> None:
+            self._goals.pop(key, None)
+            _end_goal(goal, SimulationError(Result.OPERATION_FAILED, work.failure) if work.failure else None)
+
+        try:
+            work = self._simulator.request_steps(goal.request.steps, progress, ended)
+        except SimulationError as error:
+            _end_goal(goal, error)
+            return
+        if not work.ended:
+            self._goals[key] = work
+
+    def _on_cancel(self, goal: Any) -> CancelResponse:
+        work = self._goals.get(bytes(goal.goal_id.uuid))
+        if work is None:
+            return CancelResponse.REJECT
+        self._simulator.cancel_steps(work)
+        return CancelResponse.ACCEPT
+
+
+def _end_goal(goal: Any, error: SimulationError | None) -> None:
+    """Ends a goal: as cancelled where the client asked for that, else as aborted where there is an error."""
+
+    def finish(handle: Any) -> Any:
+        if handle.is_cancel_requested:
+            handle.canceled()
+        elif error is not None:
+            handle.abort()
+        else:
+            handle.succeed()
+        result = SimulateSteps.Result()
+        return _succeeded(result) if error is None else _failed(result, error)
+
+    goal.execute(finish)
+
+
+def _never(_: Any) -> Any:
+    raise AssertionError("goals bring their own callback")
+
+
+def _succeeded(response: Any, remark: str = "") -> Any:
+    """Returns the response with RESULT_OK; GetSimulatorFeatures alone has no result."""
+    if hasattr(response, "result"):
+        response.result.result, response.result.error_message = int(Result.OK), remark
+    return response
+
+
+def _failed(response: Any, error: Exception) -> Any:
+    """Returns the response with the code and the text of an error; one that nobody foresaw is logged in full."""
+    code: IntEnum = error.code if isinstance(error, SimulationError) else Result.OPERATION_FAILED
+    text = str(error)
+    if not isinstance(error, GibsonSimError):
+        logger.error("a request failed for a reason that is a mistake of ours", exc_info=error)
+        text = f"internal error: {type(error).__name__}: {text}"
+    if hasattr(response, "result"):
+        response.result.result, response.result.error_message = int(code), shortened(text)
+    return response

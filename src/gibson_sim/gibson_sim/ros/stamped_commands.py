@@ -1,0 +1,59 @@
+"""A topic under a second type: cmd_vel as TwistStamped, beside cmd_vel as Twist."""
+
+from __future__ import annotations
+
+from collections import deque
+from threading import Thread
+from typing import Any
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+
+from gibson_sim.ros import qos
+
+
+class StampedCommands:
+    """Puts the messages of topics into queues.
+
+    One participant cannot hold a topic under two types, so this is a second context with a thread of its own. It only puts
+    messages into queues; the world is touched by the main thread alone.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._owner = node
+        self._context = rclpy.Context()
+        self._context.init(domain_id=node.context.get_domain_id())
+        self._node = Node(
+            f"{node.get_name()}_stamped_commands",
+            namespace=node.get_namespace(),
+            context=self._context,
+            use_global_arguments=False,
+            start_parameter_services=False,
+        )
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._thread = Thread(target=self._spin, name="stamped-commands", daemon=True)
+        self._thread.start()
+
+    def subscribe(self, kind: type[Any], topic: str, commands: deque[Any]) -> Any:
+        """Returns a subscription that puts what arrives on a topic of the owner into ``commands``."""
+        topic = self._owner.resolve_topic_name(topic)
+        return self._node.create_subscription(kind, topic, lambda msg: commands.append(msg), qos.COMMAND)
+
+    def unsubscribe(self, subscription: Any) -> None:
+        """Ends a subscription."""
+        self._node.destroy_subscription(subscription)
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except ExternalShutdownException:
+            pass
+
+    def close(self) -> None:
+        """Ends the thread and the context."""
+        self._executor.shutdown(timeout_sec=2.0)
+        self._context.try_shutdown()
+        self._thread.join(timeout=2.0)
+        self._node.destroy_node()

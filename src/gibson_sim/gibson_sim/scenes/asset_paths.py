@@ -1,0 +1,110 @@
+"""Files of a scene that was loaded on another machine: where they lie here. Paths in a ``DrawnScene`` are those of the physics node.
+
+A path that exists is left alone. Otherwise, in this order: it begins with a folder that the user has mapped to one here; or it has a
+part ``scenes/<name>/``, ``robots/<name>/`` or ``objects/<name>/``, and something of that name is found here (``resources``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path, PurePosixPath
+
+from gibson_sim.errors import GibsonSimError, SceneNotFoundError
+from gibson_sim.resources import find_robot, find_scene, share_folders
+from gibson_sim.robots.spec import VisualSpec
+from gibson_sim.scenes.load import load_scene
+from gibson_sim.scenes.spec import DrawnScene
+
+_KINDS = ("scenes", "robots", "objects")
+
+
+def with_local_files(scene: DrawnScene, folders: Sequence[tuple[str, str]] = ()) -> tuple[DrawnScene, tuple[str, ...]]:
+    """Returns the scene with paths of this machine, and warnings, one line each.
+
+    Args:
+        scene: as it was sent.
+        folders: pairs of a folder there and the same folder here.
+
+    Raises:
+        SceneNotFoundError: a file is not to be found here; names it.
+    """
+    found: dict[str, str] = {}
+
+    def local(path: str) -> str:
+        if path and path not in found:
+            found[path] = path if Path(path).exists() else str(_located(path, folders))
+        return found[path] if path else path
+
+    visuals = tuple(_visual(visual, local(visual.shape.mesh), local(_picture(visual))) for visual in scene.visuals)
+    environment = local(scene.light.environment)
+    if all(there == here for there, here in found.items()):
+        return scene, ()
+    moved = replace(scene, visuals=visuals, light=replace(scene.light, environment=environment))
+    return moved, _difference(scene, found)
+
+
+def _picture(visual: VisualSpec) -> str:
+    return visual.look.pattern.image if visual.look is not None and visual.look.pattern is not None else ""
+
+
+def _visual(visual: VisualSpec, mesh: str, picture: str) -> VisualSpec:
+    look = visual.look
+    if look is not None and look.pattern is not None and picture:
+        look = replace(look, pattern=replace(look.pattern, image=picture))
+    return replace(visual, shape=replace(visual.shape, mesh=mesh), look=look)
+
+
+def _located(path: str, folders: Sequence[tuple[str, str]]) -> Path:
+    for there, here in folders:
+        if PurePosixPath(path).is_relative_to(there):
+            candidate = Path(here).expanduser() / PurePosixPath(path).relative_to(there)
+            if candidate.exists():
+                return candidate
+    for kind, name, tail in _named(path):
+        try:
+            folder = _folder(kind, name)
+        except GibsonSimError:
+            continue
+        if (folder / tail).exists():
+            return folder / tail
+    raise SceneNotFoundError(
+        f"{path} is a file of the physics node's machine and is not found on this one: map its folder with the setting 'asset_roots' "
+        "(from=to), or put the scene into a folder of $GIBSON_SIM_PATH"
+    )
+
+
+def _named(path: str) -> list[tuple[str, str, PurePosixPath]]:
+    """Returns kind, name and what follows them of each part of a path that names a scene, a robot or an object; the last one first."""
+    parts = PurePosixPath(path).parts
+    return [
+        (parts[k], parts[k + 1], PurePosixPath(*parts[k + 2 :])) for k in reversed(range(len(parts) - 2)) if parts[k] in _KINDS
+    ]
+
+
+def _folder(kind: str, name: str) -> Path:
+    if kind == "objects":
+        return next((share / kind / name for share in share_folders() if (share / kind / name).exists()), Path(name))
+    found = find_scene(name) if kind == "scenes" else find_robot(name)
+    return found if found.is_dir() else found.parent
+
+
+def _difference(scene: DrawnScene, found: dict[str, str]) -> tuple[str, ...]:
+    """Returns a warning where the scene here is another one than that of the physics node, as far as its digest tells."""
+    # Randomisation is part of the digest that is sent, and cannot be repeated here.
+    if not scene.content_hash or any(visual.look is not None for visual in scene.visuals):
+        return ()
+    for there, here in found.items():
+        name = next((name for kind, name, _ in _named(there) if kind == "scenes"), "")
+        if there == here or not name:
+            continue
+        try:
+            same = load_scene(name).content_hash == scene.content_hash
+        except GibsonSimError as error:
+            return (f"{here} stands for {there}, but scene {name!r} cannot be compared: {error}",)
+        return (
+            ()
+            if same
+            else (f"{here} stands for {there}, but scene {name!r} differs between the two machines: pictures may be wrong",)
+        )
+    return ()

@@ -1,0 +1,96 @@
+"""Makes a rigid body of a mesh file: mass and inertia are those of its convex hull, filled evenly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from gibson_sim.robots.spec import Shape
+from gibson_sim.robots.urdf import Inertial, UrdfCollision, UrdfLink, UrdfModel, UrdfVisual
+from gibson_sim.scenes.mesh import MeshLoader
+from gibson_sim.types import Pose
+
+F64 = NDArray[np.float64]
+DENSITY = 300.0
+"""kg/m^3 of the hull: furniture and vessels, which are hollow, come out about right."""
+MASS_RANGE = (0.01, 100.0)
+"""kg."""
+FRICTION = 0.5
+LINK = "body"
+"""Name of the only link."""
+_THINNEST = 1e-3
+"""Metres: a sheet counts as a box of at least this thickness."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solid:
+    """A solid of density 1."""
+
+    volume: float
+    """m^3."""
+    center: F64
+    """(3,), centre of mass, metres."""
+    inertia: F64
+    """(3, 3), about the centre of mass, m^5."""
+
+
+def mesh_body(path: Path, loader: MeshLoader) -> UrdfModel:
+    """Returns a model of one link that looks like the mesh and is bumped into as its convex hull.
+
+    Args:
+        path: the mesh file.
+        loader: reads it.
+
+    Raises:
+        MeshError: the mesh cannot be used.
+    """
+    mesh = loader.mesh(path)
+    solid = hull_solid(mesh.merged()[0])
+    mass = float(np.clip(DENSITY * solid.volume, *MASS_RANGE))
+    i = solid.inertia * (mass / solid.volume)
+    x, y, z = (float(c) for c in solid.center)
+    moments = (i[0, 0], i[0, 1], i[0, 2], i[1, 1], i[1, 2], i[2, 2])
+    ixx, ixy, ixz, iyy, iyz, izz = (float(moment) for moment in moments)
+    shape = Shape("mesh", (1.0, 1.0, 1.0), str(mesh.files[0]))
+    link = UrdfLink(
+        LINK,
+        (UrdfVisual(shape, Pose(), None),),
+        (UrdfCollision(shape, Pose()),),
+        Inertial(mass, Pose((x, y, z)), (ixx, ixy, ixz, iyy, iyz, izz)),
+        FRICTION,
+    )
+    return UrdfModel(path.stem, path, (link,), (), mesh.warnings)
+
+
+def hull_solid(points: F64) -> Solid:
+    """Returns the convex hull of points (N, 3), metres; of points in a plane or on a line, a thin box around them."""
+    try:
+        hull = ConvexHull(points)
+    except (QhullError, ValueError):
+        return _box_solid(points)
+    if hull.volume < _THINNEST**3:
+        return _box_solid(points)
+    # Tetrahedra from a point inside to every triangle of the hull; their sign does not matter, all of them are inside.
+    inside = points[hull.vertices].mean(axis=0)
+    corners = points[hull.simplices] - inside
+    volumes = np.abs(np.linalg.det(corners)) / 6.0
+    volume = float(volumes.sum())
+    sums = corners.sum(axis=1)
+    center = (volumes[:, None] * sums).sum(axis=0) / (4.0 * volume)
+    # Second moments of a tetrahedron with one corner at the origin: V/20 (sum of v v^T, and of the sum of all with itself).
+    second = np.einsum("f,fki,fkj->ij", volumes, corners, corners) + np.einsum("f,fi,fj->ij", volumes, sums, sums)
+    second = second / 20.0 - volume * np.outer(center, center)
+    return Solid(volume, inside + center, np.trace(second) * np.eye(3) - second)
+
+
+def _box_solid(points: F64) -> Solid:
+    """Returns the box around points, (N, 3), along the axes."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = np.maximum(high - low, _THINNEST)
+    volume = float(np.prod(size))
+    squares = size**2
+    return Solid(volume, (low + high) / 2.0, np.diag(volume / 12.0 * (squares.sum() - squares)))

@@ -1,0 +1,138 @@
+"""Lists what can be spawned: our robots and objects, and what lies in the folders of others. Reads no meshes."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+from gibson_sim.errors import RobotError, SceneNotFoundError
+from gibson_sim.resources import share_folders
+from gibson_sim.robots.load import ROBOT_FILE, load_robot
+from gibson_sim.scenes.mesh import MESH_SUFFIXES
+from gibson_sim.scenes.sources import exists, path_of, walk
+from gibson_sim.types import Vec3
+
+_log = logging.getLogger(__name__)
+_ASSET_FOLDERS = ("mesh", "meshes", "materials", "textures")
+_HEAD_BYTES = 65536
+
+
+@dataclass(frozen=True, slots=True)
+class Spawnable:
+    """Something that can be spawned."""
+
+    uri: str
+    """A name of ours, or ``file://``."""
+    description: str = ""
+    bounds: tuple[Vec3, Vec3] | None = None
+    """Lowest and highest corner in the frame of its root, metres; None = not known without reading its meshes."""
+
+
+def own_spawnables() -> dict[str, Path]:
+    """Returns the folder or file of each of our robots and objects, by name."""
+    found: dict[str, Path] = {}
+    for share in share_folders():
+        for folder in (share / "config" / "robots", share / "robots", share / "scenes" / "objects", share / "objects"):
+            for entry in sorted(folder.iterdir()) if folder.is_dir() else ():
+                if not entry.name.startswith((".", "_")) and _kind(entry):
+                    found.setdefault(entry.stem if entry.is_file() else entry.name, entry)
+    return dict(sorted(found.items()))
+
+
+def find_spawnables(sources: Sequence[str]) -> tuple[Spawnable, ...]:
+    """Returns our robots and objects by name, then what lies in the folders of ``sources`` by path.
+
+    Args:
+        sources: folders, or single files: paths, ``file://``, ``package://`` or ``model://``.
+
+    Raises:
+        SceneNotFoundError: one of them is not there.
+    """
+    ours = [Spawnable(name, _described(path), _robot_bounds(path)) for name, path in own_spawnables().items()]
+    theirs: dict[Path, Spawnable] = {}
+    for source in sources:
+        path = path_of(source.strip()) or Path(source.strip()).absolute()
+        if not source.strip() or not exists(path):
+            raise SceneNotFoundError(f"source {source!r}: there is nothing at {path}; give a folder")
+        for entry in _below(path):
+            theirs[entry] = Spawnable(entry.absolute().as_uri(), _described(entry))
+    return (*ours, *(theirs[path] for path in sorted(theirs)))
+
+
+def _below(path: Path) -> list[Path]:
+    """Returns what can be spawned in a folder: models and robots as folders; meshes where no description lies beside them."""
+    if _kind(path):
+        return [path]
+    found: list[Path] = []
+    # Folders whose meshes, and those below, are parts of what is described there.
+    taken: set[Path] = set()
+    for folder, folders, files in walk(path):
+        if folder != path and _kind(folder):
+            found.append(folder)
+            folders.clear()
+            continue
+        folders[:] = [name for name in folders if name.lower() not in _ASSET_FOLDERS]
+        entries = [folder / name for name in files if _kind(folder / name)]
+        described = [entry for entry in entries if entry.suffix.lower() not in MESH_SUFFIXES]
+        if described or folder.parent in taken:
+            taken.add(folder)
+            entries = described
+        found += entries
+    return found
+
+
+def _kind(path: Path) -> str:
+    """Returns what a file or a folder is, "" if it is nothing to spawn."""
+    suffix = path.suffix.lower()
+    if path.is_dir():
+        if (path / ROBOT_FILE).is_file():
+            return "robot"
+        if (path / "model.config").is_file() or (path / "model.sdf").is_file():
+            return "SDF model"
+        # A folder that is named after what it holds: chair/chair.urdf.
+        return next(
+            (f"{s[1:].upper()} file" for s in (".urdf", ".sdf", *MESH_SUFFIXES) if (path / (path.name + s)).is_file()), ""
+        )
+    if path.name == ROBOT_FILE:
+        return "robot"
+    if suffix == ".sdf":
+        return "SDF model" if _holds_model(path) else ""
+    return f"{suffix[1:].upper()} file" if suffix in (".urdf", *MESH_SUFFIXES) and path.is_file() else ""
+
+
+def _holds_model(path: Path) -> bool:
+    """Returns whether an SDF file has a model in it and no world."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+    except OSError:
+        return False
+    return b"<model" in head and b"<world" not in head
+
+
+def _described(path: Path) -> str:
+    """Returns one line about a file or folder: the text of its model.config, else what it is."""
+    config = path / "model.config"
+    if config.is_file():
+        try:
+            text = " ".join((ElementTree.parse(config).getroot().findtext("description") or "").split())
+        except (OSError, ElementTree.ParseError):
+            text = ""
+        if text:
+            return text
+    return _kind(path)
+
+
+def _robot_bounds(path: Path) -> tuple[Vec3, Vec3] | None:
+    """Returns the box around a robot's radius and height, None for everything else."""
+    if not (path / ROBOT_FILE).is_file():
+        return None
+    try:
+        robot = load_robot(path / ROBOT_FILE)
+    except RobotError as e:
+        _log.warning("%s", e)
+        return None
+    return (-robot.radius, -robot.radius, 0.0), (robot.radius, robot.radius, robot.height)

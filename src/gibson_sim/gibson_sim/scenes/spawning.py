@@ -1,0 +1,332 @@
+"""From a resource to something physics can load: a URI, or the text of a URDF or SDF model, becomes a BodySpec or a RobotSpec.
+
+What comes in was written by strangers: every number is checked, every file must be where files are allowed, and whatever is missing is
+an error that names it. Knows neither ROS nor a physics engine.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from enum import Enum, auto
+from pathlib import Path
+from xml.etree import ElementTree
+
+from gibson_sim.errors import GibsonSimError, MeshError, RobotError, SceneError, SceneNotFoundError
+from gibson_sim.robots.body import BodySpec
+from gibson_sim.robots.load import ROBOT_FILE, load_robot
+from gibson_sim.robots.omissions import Omission, OmissionKind, kind_of
+from gibson_sim.robots.spec import RobotSpec
+from gibson_sim.robots.urdf import UrdfModel, parse_urdf, read_urdf, resolve_mesh
+from gibson_sim.scenes.builder import SceneBuilder, class_from_model
+from gibson_sim.scenes.mesh import MESH_SUFFIXES, MeshLoader
+from gibson_sim.scenes.mesh_body import mesh_body
+from gibson_sim.scenes.plausible import check_plausible
+from gibson_sim.scenes.sdf_body import WORLD, SdfBodyReader
+from gibson_sim.scenes.sdf_model import SdfModels, sdf_files, sdf_version
+from gibson_sim.scenes.sources import (
+    MAX_BYTES,
+    MAX_DESCRIPTION_BYTES,
+    NOWHERE,
+    check_file,
+    check_inside,
+    exists,
+    path_of,
+    said,
+)  # fmt: skip
+from gibson_sim.scenes.spawnables import Spawnable, find_spawnables, own_spawnables
+from gibson_sim.scenes.uris import UriResolver, ancestors
+from gibson_sim.types import Pose
+
+__all__ = [
+    "SPAWN_FORMATS", "SpawnError", "SpawnFailure", "Spawnable", "find_spawnables", "load_spawnable", "own_spawnables", "spawn_name",
+]  # fmt: skip
+
+SPAWN_FORMATS: tuple[str, ...] = ("urdf", "sdf", "robot.yaml", *(suffix[1:] for suffix in MESH_SUFFIXES))
+"""What can be spawned, as in SimulatorFeatures.spawn_formats."""
+_TEXT = NOWHERE / "resource_string"
+_ALLOWED = f"give a {ROBOT_FILE}, a URDF, an SDF model, a folder with one of these, or a mesh ({', '.join(MESH_SUFFIXES)})"
+_XACRO = re.compile(rb"<xacro:")
+
+
+class SpawnFailure(Enum):
+    """Why nothing can be spawned; the names are those of ``simulation_interfaces/SpawnResult``."""
+
+    UNSUPPORTED_FORMAT = auto()
+    NO_RESOURCE = auto()
+    RESOURCE_PARSE_ERROR = auto()
+    MISSING_ASSETS = auto()
+    UNSUPPORTED_ASSETS = auto()
+
+
+class SpawnError(SceneError):
+    """Something cannot be spawned; one line."""
+
+    def __init__(self, code: SpawnFailure, message: str) -> None:
+        super().__init__(said(message))
+        self.code = code
+
+
+def load_spawnable(uri: str, text: str, *, name: str, pose: Pose, roots: tuple[Path, ...] = ()) -> BodySpec | RobotSpec:
+    """Returns what a resource describes.
+
+    Args:
+        uri: a path, ``file://``, ``package://``, ``model://``, or the name of a robot or an object of ours; wins over ``text``.
+        text: a URDF or an SDF model; used where ``uri`` is empty.
+        name: of the body; its links become ``<name>/<link>``.
+        pose: T_world_root, where it starts.
+        roots: folders that all its files must lie in, symbolic links followed; none = anywhere. What is ours may always be read.
+
+    Raises:
+        SpawnError: nothing can be made of it.
+    """
+    if not uri.strip():
+        return _text_body(text, name, pose, roots)
+    path, roots = _resolve(uri.strip(), roots)
+    file = _description(path)
+    try:
+        check_inside(file, roots, uri)
+        check_file(file, MAX_BYTES if file.suffix.lower() in MESH_SUFFIXES else MAX_DESCRIPTION_BYTES)
+    except SceneNotFoundError as e:
+        raise SpawnError(SpawnFailure.NO_RESOURCE, str(e)) from e
+    except SceneError as e:
+        raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{e}; {_ALLOWED}") from e
+    suffix = file.suffix.lower()
+    if suffix in (".yaml", ".yml"):
+        return _robot(file, name, pose, roots)
+    if suffix in MESH_SUFFIXES:
+        return _mesh(file, name, pose, roots)
+    return _described(_read(file), file, name, pose, roots, is_file=True)
+
+
+def spawn_name(uri: str, text: str) -> str:
+    """Returns the name that a resource gives itself, "" if it gives none or cannot be read; of a robot.yaml, that of its URDF."""
+    try:
+        if not uri.strip():
+            return _first_name(text.strip().encode("utf-8", errors="replace"))
+        file = _description(_resolve(uri.strip(), ())[0])
+        if file.suffix.lower() in MESH_SUFFIXES:
+            return ""
+        check_file(file, MAX_DESCRIPTION_BYTES)
+        if file.suffix.lower() in (".yaml", ".yml"):
+            return read_urdf(load_robot(file).urdf).name
+        return _first_name(_read(file))
+    except GibsonSimError:
+        return ""
+
+
+def _resolve(uri: str, roots: tuple[Path, ...]) -> tuple[Path, tuple[Path, ...]]:
+    """Returns the file or folder that a URI means, and the folders that its files may lie in."""
+    try:
+        path = path_of(uri)
+        if path is None:
+            own = own_spawnables()
+            if uri in own:
+                return own[uri], (*roots, own[uri].parent) if roots else ()
+            path = Path(uri).absolute()
+            # A mistyped name should not read as a missing file.
+            if not exists(path) and "/" not in uri:
+                raise SceneNotFoundError(f"{uri}: is neither a file nor the name of something of ours: {', '.join(own)}")
+        check_inside(path, roots, uri)
+        if not exists(path):
+            raise SceneNotFoundError(f"{uri}: there is nothing at {path}")
+    except SceneNotFoundError as e:
+        raise SpawnError(SpawnFailure.NO_RESOURCE, str(e)) from e
+    return path, roots
+
+
+def _description(path: Path) -> Path:
+    """Returns the file that describes what is to be spawned: the path itself, or the one in the folder.
+
+    Raises:
+        SpawnError: it is of a kind that cannot be read.
+    """
+    if not path.is_dir():
+        if path.name == "model.config":
+            return _description(path.parent)
+        if path.suffix.lower() == ".xacro":
+            raise _xacro_error(path)
+        if path.suffix.lower() not in (".urdf", ".sdf", ".yaml", ".yml", *MESH_SUFFIXES):
+            raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: is nothing that can be spawned; {_ALLOWED}")
+        return path
+    for file in (path / ROBOT_FILE, *sdf_files(path)):
+        if file.is_file():
+            return file
+    try:
+        inside = sorted(path.iterdir())
+    except OSError as e:
+        raise SpawnError(SpawnFailure.NO_RESOURCE, f"{path}: cannot be read: {e.strerror or e}") from e
+    for suffixes in ((".urdf",), (".sdf",), MESH_SUFFIXES):
+        files = [file for file in inside if file.suffix.lower() in suffixes]
+        same = [file for file in files if file.stem == path.name]
+        if len(same or files) == 1:
+            return (same or files)[0]
+        if files:
+            names = ", ".join(file.name for file in files[:8])
+            raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: holds {len(files)} things to spawn, name one: {names}")
+    raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: holds nothing that can be spawned; {_ALLOWED}")
+
+
+def _text_body(text: str, name: str, pose: Pose, roots: tuple[Path, ...]) -> BodySpec:
+    if not text.strip():
+        raise SpawnError(SpawnFailure.NO_RESOURCE, "neither a uri nor a resource_string is given; give one of them")
+    # XML may not begin with the blank line that strings in code often begin with.
+    data = text.strip().encode("utf-8", errors="replace")
+    if len(data) > MAX_DESCRIPTION_BYTES:
+        raise SpawnError(
+            SpawnFailure.UNSUPPORTED_FORMAT, f"resource_string has {len(data)} bytes, must be at most {MAX_DESCRIPTION_BYTES}"
+        )
+    return _described(data, _TEXT, name, pose, roots, is_file=False)
+
+
+def _described(data: bytes, path: Path, name: str, pose: Pose, roots: tuple[Path, ...], *, is_file: bool) -> BodySpec:
+    """Returns the body that a URDF or an SDF model describes; which it is shows in its outermost element."""
+    if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+        raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: is no XML; give a URDF (<robot>) or an SDF model (<sdf>)")
+    try:
+        top = ElementTree.fromstring(data)
+    except (ElementTree.ParseError, ValueError, LookupError) as e:
+        if _XACRO.search(data):
+            raise _xacro_error(path) from e
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, f"{path}: is no well-formed XML: {e}") from e
+    if any("xacro" in element.tag for element in top.iter() if isinstance(element.tag, str)):
+        raise _xacro_error(path)
+    # Files of a model lie beside it, or beside the folders above it.
+    folder = path.parent
+    root = ancestors(folder)[-1] if is_file and ancestors(folder) else folder
+    uris = UriResolver(root, folder)
+    if top.tag == "robot":
+        return _urdf(data, path, name, pose, roots, uris, is_file=is_file)
+    if top.tag in ("sdf", "gazebo"):
+        return _sdf(top, path, name, pose, roots, uris)
+    raise SpawnError(
+        SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: the outermost element is <{top.tag}>, must be <robot> (URDF) or <sdf>"
+    )
+
+
+def _urdf(
+    data: bytes, path: Path, name: str, pose: Pose, roots: tuple[Path, ...], uris: UriResolver, *, is_file: bool
+) -> BodySpec:
+    def find(mesh: str, urdf: Path) -> Path | None:
+        try:
+            found = resolve_mesh(mesh, urdf) if is_file else None
+        except (OSError, ValueError):
+            found = None
+        found = found or uris.find(mesh, urdf.parent)
+        return found if found is not None and found.is_file() else None
+
+    try:
+        model = parse_urdf(data, path, find)
+    except RobotError as e:
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)) from e
+    _check(model, _loader(roots), read=True)
+    root = model.links[0]
+    # Gazebo's way to say that nothing moves it: a root link `world` with nothing in it.
+    static = root.name == WORLD and not (root.visuals or root.collisions or root.inertial)
+    return BodySpec(name, model, pose, static, class_from_model(model.name))
+
+
+def _sdf(top: ElementTree.Element, path: Path, name: str, pose: Pose, roots: tuple[Path, ...], uris: UriResolver) -> BodySpec:
+    model = top.find("model")
+    if model is None:
+        hint = "it holds a <world>: load it as one" if top.find("world") is not None else "give an SDF file with a model"
+        raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: holds no <model>; {hint}")
+    builder = SceneBuilder(name, path.parent, roots or (Path("/"),), max_bytes=MAX_BYTES)
+    try:
+        if len(top.findall("model")) > 1:
+            builder.warn(f"{path}: holds several models; the first is used")
+        body = SdfBodyReader(SdfModels(builder, uris), path).read(model, path.parent, sdf_version(top))
+    except SceneError as e:
+        # What is missing explains why too little is left.
+        _raise_for(builder.warnings)
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)) from e
+    _check(body.model, builder.loader, read=False)
+    return BodySpec(name, body.model, pose, body.static, class_from_model(body.model.name))
+
+
+def _robot(file: Path, name: str, pose: Pose, roots: tuple[Path, ...]) -> RobotSpec:
+    try:
+        robot = load_robot(file, name=name, start=pose)
+        check_inside(robot.urdf, roots, str(robot.urdf))
+        model = read_urdf(robot.urdf)
+    except RobotError as e:
+        missing = isinstance(e.__cause__, FileNotFoundError)
+        raise SpawnError(SpawnFailure.MISSING_ASSETS if missing else SpawnFailure.RESOURCE_PARSE_ERROR, str(e)) from e
+    except SceneNotFoundError as e:
+        raise SpawnError(SpawnFailure.NO_RESOURCE, str(e)) from e
+    _check(model, _loader(roots), read=True)
+    return robot
+
+
+def _mesh(file: Path, name: str, pose: Pose, roots: tuple[Path, ...]) -> BodySpec:
+    loader = _loader(roots)
+    try:
+        model = mesh_body(file, loader)
+    except MeshError as e:
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)) from e
+    _check(model, loader, read=False)
+    return BodySpec(name, model, pose, False, class_from_model(file.stem))
+
+
+def _loader(roots: tuple[Path, ...]) -> MeshLoader:
+    return MeshLoader(roots or (Path("/"),), textures=False, max_bytes=MAX_BYTES)
+
+
+def _check(model: UrdfModel, loader: MeshLoader, *, read: bool) -> None:
+    """Checks the numbers of a model and that nothing is missing.
+
+    Args:
+        model: the model.
+        loader: reads its meshes.
+        read: its meshes have not been read yet.
+    """
+    lines = list(model.warnings)
+    if read:
+        shapes = [v.shape for link in model.links for v in link.visuals]
+        shapes += [c.shape for link in model.links for c in link.collisions]
+        for mesh in dict.fromkeys(shape.mesh for shape in shapes if shape.kind == "mesh"):
+            try:
+                lines += loader.mesh(Path(mesh)).warnings
+            except MeshError as e:
+                lines.append(Omission(str(e), OmissionKind.UNSUPPORTED_ASSET))
+    _raise_for([line for line in lines if kind_of(line) is OmissionKind.INVALID])
+    try:
+        check_plausible(model, loader)
+    except SceneError as e:
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)) from e
+    _raise_for(lines)
+
+
+def _raise_for(lines: Sequence[str]) -> None:
+    """Raises SpawnError if something was left out that must not be; names all of it."""
+    codes = {
+        SpawnFailure.RESOURCE_PARSE_ERROR: (OmissionKind.INVALID,),
+        SpawnFailure.MISSING_ASSETS: (OmissionKind.MISSING_ASSET,),
+        SpawnFailure.UNSUPPORTED_ASSETS: (OmissionKind.UNSUPPORTED_ASSET, OmissionKind.UNSUPPORTED_ELEMENT),
+    }
+    for code, kinds in codes.items():
+        found = [line.removesuffix("; left out") for line in lines if kind_of(line) in kinds]
+        if found:
+            raise SpawnError(code, "; ".join(dict.fromkeys(found)))
+
+
+def _read(file: Path) -> bytes:
+    try:
+        return file.read_bytes()
+    except OSError as e:
+        raise SpawnError(SpawnFailure.NO_RESOURCE, f"{file}: cannot be read: {e.strerror or e}") from e
+
+
+def _xacro_error(path: Path) -> SpawnError:
+    kind = "sdf" if ".sdf" in path.suffixes else "urdf"
+    text = f"{path}: is a xacro, not a finished description; expand it first: xacro {path.name} > model.{kind}"
+    return SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, text)
+
+
+def _first_name(data: bytes) -> str:
+    try:
+        top = ElementTree.fromstring(data)
+    except (ElementTree.ParseError, ValueError, LookupError):
+        return ""
+    element = top if top.tag == "robot" else top.find("model")
+    return "" if element is None else element.get("name", "").strip()

@@ -1,0 +1,88 @@
+"""The charge of a battery, from the power that is taken out of it. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gibson_sim.robots.sensor_specs import BatterySpec
+from gibson_sim.types import JointStates
+
+_S_PER_H = 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class BatteryReading:
+    """A battery at one tick."""
+
+    name: str
+    """Of the sensor."""
+    stamp_ns: int
+    percentage: float
+    """Charge, 0 to 1 of the capacity."""
+    voltage: float
+    """V."""
+    current: float
+    """A, negative: it is discharged. 0 = it is empty."""
+    charge_ah: float
+    """A h left."""
+    capacity_ah: float
+    """A h when full."""
+    low: bool
+    """Whether the charge is below the level of warning."""
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing is left."""
+        return self.percentage == 0.0
+
+
+class Battery:
+    """What is left in a battery. Energy is what is counted, so that the length of the steps does not matter."""
+
+    def __init__(self, spec: BatterySpec) -> None:
+        """Starts with the charge of the spec."""
+        self.spec = spec
+        self._slope = (spec.voltage_full - spec.voltage_empty) / 2
+        self.reset()
+
+    def reset(self) -> None:
+        """Goes back to the charge of the start."""
+        self._energy = self._energy_at(self.spec.start)
+
+    def power(self, joints: JointStates) -> float:
+        """Returns what the robot takes while its joints turn like this, W."""
+        spec = self.spec
+        work = np.maximum(joints.efforts * joints.velocities, 0.0).sum() / spec.efficiency
+        return spec.idle_w + float(work + spec.torque_w * np.abs(joints.efforts).sum())
+
+    def drain(self, power_w: float, dt: float, stamp_ns: int) -> BatteryReading:
+        """Returns the state of the battery after ``power_w`` was taken for ``dt`` seconds, until ``stamp_ns``."""
+        spec = self.spec
+        self._energy = max(0.0, self._energy - power_w * dt)
+        charge = self._charge()
+        voltage = spec.voltage_empty + 2 * self._slope * charge
+        return BatteryReading(
+            name=spec.name,
+            stamp_ns=stamp_ns,
+            percentage=charge,
+            voltage=voltage,
+            current=-power_w / voltage if charge > 0.0 else 0.0,
+            charge_ah=charge * spec.capacity_ah,
+            capacity_ah=spec.capacity_ah,
+            low=charge < spec.warn_below,
+        )
+
+    def _energy_at(self, charge: float) -> float:
+        """Returns the joules in a battery of a charge of 0 to 1: the integral of the voltage over the charge."""
+        spec = self.spec
+        return spec.capacity_ah * _S_PER_H * (spec.voltage_empty * charge + self._slope * charge**2)
+
+    def _charge(self) -> float:
+        """Returns the charge, 0 to 1, at which the energy is what is left."""
+        spec = self.spec
+        share = self._energy / (spec.capacity_ah * _S_PER_H)
+        # The solution of slope q^2 + empty q = share that stays exact where the slope is 0.
+        return min(1.0, 2 * share / (spec.voltage_empty + math.sqrt(spec.voltage_empty**2 + 4 * self._slope * share)))

@@ -1,0 +1,86 @@
+"""Depth images of one camera as another one would see them: what drivers of RGB-D cameras call registered depth. Pure."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.geometry.projections import project, unproject
+from gibson_sim.geometry.transforms import Mat4
+from gibson_sim.types import CameraSpec
+
+MAX_SPLIT = 8
+"""Most parts along a side into which a pixel is split for a finer camera."""
+F32 = NDArray[np.float32]
+
+
+class DepthRegistration:
+    """Moves depth images of ``source`` into the image of ``target``.
+
+    Each pixel is a small plate at its depth, split as finely as the target's pixels are, so that a finer target has no holes
+    between them; the nearest plate wins. What the source did not see stays empty.
+
+    Args:
+        source: the depth camera.
+        target: the camera whose image, K and frame the result has.
+        T_target_source: takes points in the source's optical frame to the target's.
+
+    Raises:
+        ConfigError: the target's pixels are so fine that a pixel of the source would have to be split too often.
+    """
+
+    def __init__(self, source: CameraSpec, target: CameraSpec, T_target_source: Mat4) -> None:
+        finer = max(np.diag(target.intrinsics())[:2] / np.diag(source.intrinsics())[:2])
+        self._split = max(1, math.ceil(finer - 1e-6))
+        if self._split > MAX_SPLIT:
+            raise ConfigError(
+                f"depth of camera {source.name!r} cannot be registered to {target.name!r}, whose pixels are {finer:.1f} times as fine; "
+                f"at most {MAX_SPLIT} times: give it a smaller image or the depth camera a larger one"
+            )
+        n = self._split
+        offsets = (np.arange(n) + 0.5) / n - 0.5
+        v = (np.arange(source.height)[:, None] + offsets).ravel()
+        u = (np.arange(source.width)[:, None] + offsets).ravel()
+        rays = unproject(np.stack(np.meshgrid(u, v), axis=-1), source).reshape(-1, 3)
+        T = np.asarray(T_target_source, dtype=np.float64)
+        # (3, N): a point at depth d is then d times its direction and an offset, without a product of matrices for each image.
+        self._directions = np.ascontiguousarray((rays @ T[:3, :3].T).T, dtype=np.float32)
+        self._offset = T[:3, 3].astype(np.float32)
+        self._source, self._target = source, target
+
+    def image(self, depth: ArrayLike) -> F32:
+        """Returns the depth in the target's image, (H, W) of the target, metres, +inf = nothing known.
+
+        Args:
+            depth: (H, W) of the source, metres, as its projection measures them; what is not finite is left out.
+        """
+        d = np.asarray(depth, dtype=np.float32)
+        if d.shape != (self._source.height, self._source.width):
+            size = f"{self._source.height, self._source.width}"
+            raise ConfigError(f"depth has shape {d.shape}, images of camera {self._source.name!r} have {size}")
+        fine = np.repeat(np.repeat(d, self._split, axis=0), self._split, axis=1).ravel()
+        fine = np.where(np.isfinite(fine), fine, np.float32(np.nan))
+        x, y, z = (way * fine + offset for way, offset in zip(self._directions, self._offset, strict=True))
+        u, v, moved = self._project(x, y, z)
+        height, width = self._target.height, self._target.width
+        # NaN, what has no depth or lies behind the camera, compares as false.
+        inside = np.flatnonzero(
+            (u > -0.5) & (u < width - 0.5) & (v > -0.5) & (v < height - 0.5) & (moved >= self._target.near) & (moved <= self._target.far)
+        )  # fmt: skip
+        pixels = np.rint(v[inside]).astype(np.int64) * width + np.rint(u[inside]).astype(np.int64)
+        out = np.full(height * width, np.inf, dtype=np.float32)
+        np.minimum.at(out, pixels, moved[inside])
+        return out.reshape(height, width)
+
+    def _project(self, x: F32, y: F32, z: F32) -> tuple[F32, F32, F32]:
+        """Returns column, row and depth of points in the target's frame, each (N,); NaN where it cannot see them."""
+        if self._target.projection != "pinhole" or any(self._target.distortion):
+            pixels, depth = project(np.stack([x, y, z], axis=1), self._target)
+            return pixels[:, 0].astype(np.float32), pixels[:, 1].astype(np.float32), depth.astype(np.float32)
+        k = self._target.intrinsics().astype(np.float32)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            inverse = np.where(z > 0.0, np.float32(1.0) / z, np.float32(np.nan))
+        return (k[0, 0] * x + k[0, 1] * y) * inverse + k[0, 2], k[1, 1] * y * inverse + k[1, 2], z

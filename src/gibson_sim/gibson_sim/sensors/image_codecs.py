@@ -1,0 +1,77 @@
+"""Compressed images as image_transport's plugins write them, so that its subscribers, rqt and rosbag tools read them. Pure.
+
+``compressed``: a JPEG or PNG file. ``compressedDepth``: a header of 12 bytes, then a PNG of 16 bits a pixel. The header is a whole number
+(int32, the kind of coding: 0 = inverse depth) and two float32, A and B: a pixel p is the depth A / (p - B), and 0 is no depth.
+Steps are finest near the camera, as those of a stereo camera's disparity are.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import ConfigError
+
+ColorCodec = Literal["jpeg", "png"]
+U8 = NDArray[np.uint8]
+COMPRESSED_DEPTH_FORMAT = "32FC1; compressedDepth png"
+"""``format`` of the message that ``encode_depth`` goes into."""
+_INVERSE_DEPTH = 0
+_LARGEST = 2**16 - 1
+
+
+def color_format(codec: ColorCodec) -> str:
+    """Returns the ``format`` of the message that ``encode_color`` goes into: what the image was, and how OpenCV decodes it."""
+    return f"rgb8; {codec} compressed bgr8"
+
+
+def encode_color(rgb: U8, codec: ColorCodec, *, jpeg_quality: int = 95, png_level: int = 3) -> U8:
+    """Returns the bytes of an image file, (N,); ``cv2.imdecode`` makes BGR of them.
+
+    Args:
+        rgb: (H, W, 3), row 0 at the top.
+        codec: jpeg, small and a little off; png, exact.
+        jpeg_quality: 1 to 100.
+        png_level: 0 (fast) to 9 (small).
+    """
+    bgr = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR)
+    if codec == "jpeg":
+        return _encoded(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality])
+    return _encoded(".png", bgr, [cv2.IMWRITE_PNG_COMPRESSION, png_level])
+
+
+def encode_depth(
+    depth: NDArray[np.float32], *, depth_max: float = 10.0, quantization: float = 100.0, png_level: int = 1
+) -> bytes:
+    """Returns the header and the PNG of a depth image. What is not in range, too near for 16 bits or no number becomes "no depth".
+
+    Args:
+        depth: (H, W), metres.
+        depth_max: m; depths from here on are left out.
+        quantization: how fine the steps are: at d metres they are d^2 / (quantization (quantization + 1)) metres.
+        png_level: 0 (fast) to 9 (small).
+    """
+    a = np.float32(quantization * (quantization + 1.0))
+    b = np.float32(1.0) - a / np.float32(depth_max)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = np.rint(a / depth + b)
+        # Not clipped: a wrong depth is worse than none.
+        seen = (depth > 0.0) & (depth < depth_max) & (inverse <= _LARGEST)
+    pixels = np.zeros(depth.shape, dtype=np.uint16)
+    pixels[seen] = inverse[seen].astype(np.uint16)
+    png = _encoded(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, png_level])
+    return struct.pack("<iff", _INVERSE_DEPTH, a, b) + png.tobytes()
+
+
+def _encoded(suffix: str, pixels: NDArray[Any], flags: list[int]) -> U8:
+    try:
+        written, data = cv2.imencode(suffix, pixels, flags)
+    except cv2.error as error:
+        raise ConfigError(f"an image of {pixels.shape[1]}x{pixels.shape[0]} cannot be written as {suffix}: {error}") from error
+    if not written:
+        raise ConfigError(f"an image of {pixels.shape[1]}x{pixels.shape[0]} cannot be written as {suffix}")
+    return np.asarray(data, dtype=np.uint8).ravel()

@@ -1,0 +1,135 @@
+"""An inertial measurement unit from the poses and velocities of its link (REP 145). Pure.
+
+Accelerometers measure the specific force: acceleration minus gravity, so +g along z at rest. The acceleration is the change of the
+link's velocity since the sample before, as the real ones give a mean over their sampling interval.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.robots.noise import NoiseSource
+from gibson_sim.robots.sensor_specs import ImuSpec
+from gibson_sim.types import NS_PER_S, Quat, SceneState, Vec3
+
+_WHITE, _WALK, _START = 0, 1, 2
+"""Purposes of the random numbers."""
+LEAST_VARIANCE = 1e-9
+"""Of a measurement without noise: a covariance of 0 would mean "unknown" in a ROS message, and filters divide by it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuReading:
+    """One sample, in the frame of the link."""
+
+    name: str
+    """Of the sensor."""
+    stamp_ns: int
+    link: str
+    """``<body>/<link>``."""
+    angular_velocity: NDArray[np.float64]
+    """(3,), rad/s."""
+    linear_acceleration: NDArray[np.float64]
+    """(3,), specific force, m/s^2: +g along z at rest."""
+    orientation_xyzw: Quat | None
+    """Of the link in the world frame, exact; None = not reported."""
+    angular_variance: float
+    """Of each component, (rad/s)^2."""
+    linear_variance: float
+    """Of each component, (m/s^2)^2."""
+
+
+class Imu:
+    """One sensor with what it remembers: the velocity at its last sample and its biases."""
+
+    def __init__(self, spec: ImuSpec, gravity: Vec3, seed: int = 0) -> None:
+        """Starts with the biases that the seeds decide.
+
+        Args:
+            spec: The sensor.
+            gravity: World frame, m/s^2.
+            seed: Of the simulation.
+        """
+        self.spec = spec
+        self._lift: Vec3 = (-gravity[0], -gravity[1], -gravity[2])
+        self._noise = NoiseSource(f"{spec.link.partition('/')[0]}/{spec.name}", seed, spec.seed)
+        self._densities = np.repeat([spec.gyro_noise, spec.accel_noise], 3)
+        self._walks = np.repeat([spec.gyro_bias_walk, spec.accel_bias_walk], 3)
+        self._walks_at_all, self._is_noisy = bool(self._walks.any()), bool(self._densities.any())
+        self._variances = tuple(max(density**2 * spec.rate_hz, LEAST_VARIANCE) for density in (spec.gyro_noise, spec.accel_noise))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets the velocity and goes back to the biases of the start."""
+        spec = self.spec
+        self._last: tuple[int, Vec3, Quat] | None = None
+        self.bias: NDArray[np.float64] = np.repeat([spec.gyro_bias, spec.accel_bias], 3)
+        """(6,): of the gyroscopes, rad/s, then of the accelerometers, m/s^2."""
+        if self.bias.any():
+            self.bias *= self._noise.at(0, _START).standard_normal(6)
+
+    def measure(self, state: SceneState) -> ImuReading:
+        """Returns a sample; the first one after a reset takes the velocity to have been constant until then.
+
+        Raises:
+            ConfigError: the state has no such link, or is not later than the one before.
+        """
+        spec = self.spec
+        if spec.link not in state.links:
+            raise ConfigError(f"imu on {spec.link!r}: no such link in the scene; known: {', '.join(state.links)}")
+        row = state.links.index(spec.link)
+        x, y, z, w = quat = tuple(state.quats_xyzw[row].tolist())
+        vx, vy, vz, *angular = state.twists[row].tolist()
+        force, dt = _into_link(quat, self._lift), 1.0 / spec.rate_hz
+        if self._last is not None:
+            stamp_ns, (ux, uy, uz), before = self._last
+            dt = (state.stamp_ns - stamp_ns) / NS_PER_S
+            if dt <= 0.0:
+                raise ConfigError(
+                    f"imu {spec.name!r}: {state.stamp_ns} ns is not after the last sample, {stamp_ns} ns; reset it first"
+                )
+            # A mean over the interval belongs to its middle: with the axes of its end, half a step of turning would be in it.
+            mean = _into_link(_middle(before, quat), ((vx - ux) / dt, (vy - uy) / dt, (vz - uz) / dt))
+            force = (force[0] + mean[0], force[1] + mean[1], force[2] + mean[2])
+        self._last = (state.stamp_ns, (vx, vy, vz), quat)
+        measured = np.array([*_into_link(quat, (angular[0], angular[1], angular[2])), *force]) + self._errors(state.stamp_ns, dt)
+        return ImuReading(
+            name=spec.name,
+            stamp_ns=state.stamp_ns,
+            link=spec.link,
+            angular_velocity=measured[:3],
+            linear_acceleration=measured[3:],
+            orientation_xyzw=(x, y, z, w) if spec.orientation else None,
+            angular_variance=self._variances[0],
+            linear_variance=self._variances[1],
+        )
+
+    def _errors(self, stamp_ns: int, dt: float) -> NDArray[np.float64]:
+        """Returns what to add to (angular velocity, specific force), (6,), ``dt`` seconds after the sample before."""
+        if self._walks_at_all:
+            self.bias = self.bias + self._walks * math.sqrt(dt) * self._noise.at(stamp_ns, _WALK).standard_normal(6)
+        if not self._is_noisy:
+            return self.bias
+        return self.bias + self._densities / math.sqrt(dt) * self._noise.at(stamp_ns, _WHITE).standard_normal(6)
+
+
+# Plain numbers: for three of them numpy takes ten times as long, and this runs hundreds of times a second.
+def _into_link(quat_xyzw: Quat, vector: Vec3) -> Vec3:
+    """Returns a vector of the world frame in the frame of the link whose orientation is given."""
+    x, y, z, w = quat_xyzw
+    a, b, c = vector
+    p, q, r = 2 * (b * z - c * y), 2 * (c * x - a * z), 2 * (a * y - b * x)
+    return a + w * p + q * z - r * y, b + w * q + r * x - p * z, c + w * r + p * y - q * x
+
+
+def _middle(a: Quat, b: Quat) -> Quat:
+    """Returns the unit quaternion half-way between two."""
+    sign = math.copysign(1.0, sum(i * j for i, j in zip(a, b, strict=True)))
+    x, y, z, w = (i + sign * j for i, j in zip(a, b, strict=True))
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    return (x / norm, y / norm, z / norm, w / norm)

@@ -1,0 +1,210 @@
+"""All sensors of one robot other than cameras: what is due at a step, what they remember, what they measure. Pure."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import ConfigError, GibsonSimError
+from gibson_sim.robots.noise import NoiseSource
+from gibson_sim.robots.sensor_specs import BumperSpec, Lidar3DSpec, LidarSpec
+from gibson_sim.robots.spec import RobotSpec
+from gibson_sim.sensors.battery import Battery, BatteryReading
+from gibson_sim.sensors.bumper import BumperReading, measure_bumper
+from gibson_sim.sensors.imu import Imu, ImuReading
+from gibson_sim.sensors.lidar import LidarCloud, Scan, measure_cloud, measure_scan
+from gibson_sim.types import Contact, JointStates, SceneState, Vec3
+
+logger = logging.getLogger(__name__)
+
+
+class World(Protocol):
+    """``PhysicsWorld``, as far as sensors need it."""
+
+    def state(self) -> SceneState:
+        """Returns the poses of all links now."""
+
+    def cast_rays(
+        self, origins: NDArray[np.float64], directions: NDArray[np.float64], range_max: float, ignore: str | None = None, /
+    ) -> NDArray[np.float64]:
+        """Returns the distance to the first hit of every ray."""
+
+    def contacts(self, name: str, /) -> tuple[Contact, ...]:
+        """Returns where a body touches others."""
+
+    def joint_states(self, robot: str, /) -> JointStates:
+        """Returns the moving joints of a robot."""
+
+
+_Read = Callable[[World, int, int], Any]
+"""(world, step, stamp_ns) to a reading."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurements:
+    """What was measured at one step; every value carries the name of its sensor."""
+
+    stamp_ns: int
+    scans: tuple[Scan, ...] = ()
+    clouds: tuple[LidarCloud, ...] = ()
+    imus: tuple[ImuReading, ...] = ()
+    bumpers: tuple[BumperReading, ...] = ()
+    batteries: tuple[BatteryReading, ...] = ()
+
+    def __bool__(self) -> bool:
+        """Whether anything was measured."""
+        return bool(self.scans or self.clouds or self.imus or self.bumpers or self.batteries)
+
+
+class SensorSuite:
+    """The sensors of one robot.
+
+    Lidars and bumpers measure at the ticks at which the state is published, so that a transform with their stamp is there; the IMU
+    and the battery at steps. Each is due when ``schedule.is_due`` says so.
+    """
+
+    def __init__(self, robot: RobotSpec, step_hz: int, publish_hz: int, gravity: Vec3, seed: int = 0) -> None:
+        """Makes all sensors ready for step 0.
+
+        Args:
+            robot: Who carries them.
+            step_hz: Physics steps in a second.
+            publish_hz: Rate of published states; must divide ``step_hz``.
+            gravity: World frame, m/s^2.
+            seed: Of the simulation; with the seed and the name of a sensor and the stamp it decides every error.
+        """
+        if step_hz % publish_hz:
+            raise ConfigError(f"sensors: publish_hz is {publish_hz}, must divide step_hz, which is {step_hz}")
+        self._robot, self._step_hz, self._seed = robot, step_hz, seed
+        sensors, tick = robot.sensors, step_hz // publish_hz
+        self._imus = [Imu(spec, gravity, seed) for spec in sensors.imus]
+        self._battery = None if sensors.battery is None else Battery(sensors.battery)
+        self._tasks: list[_Task] = [
+            *(_Task(spec.name, "scans", _Timer(spec.rate_hz, step_hz, tick), self._scan(spec)) for spec in sensors.lidars),
+            *(_Task(spec.name, "clouds", _Timer(spec.rate_hz, step_hz, tick), self._cloud(spec)) for spec in sensors.lidars_3d),
+            *(_Task(spec.name, "bumpers", _Timer(spec.rate_hz, step_hz, tick), self._bumper(spec)) for spec in sensors.bumpers),
+            *(_Task(imu.spec.name, "imus", _Timer(imu.spec.rate_hz, step_hz, 1), _imu(imu)) for imu in self._imus),
+        ]
+        if self._battery is not None:
+            spec = self._battery.spec
+            self._tasks.append(_Task(spec.name, "batteries", _Timer(spec.rate_hz, step_hz, 1), self._drain))
+        self.reset()
+
+    def reset(self, step: int = 0) -> None:
+        """Puts all sensors back to how they began, after ``step`` steps of the world; forgets what was missed."""
+        self._last_drain = step
+        self._charge_reported = "well"
+        for imu in self._imus:
+            imu.reset()
+        if self._battery is not None:
+            self._battery.reset()
+        for task in self._tasks:
+            task.start(step)
+        self._next = min((task.due for task in self._tasks), default=None)
+
+    @property
+    def misses(self) -> dict[str, int]:
+        """How often each sensor was due without being measured, since the last reset."""
+        return {task.name: task.misses for task in self._tasks}
+
+    def measure(self, world: World, step: int, stamp_ns: int) -> Measurements:
+        """Returns what is due at ``step``, to be called after every step of the world; mostly that is nothing.
+
+        Args:
+            world: As it is after ``step`` steps.
+            step: Steps since load; after going back, ``reset``.
+            stamp_ns: Of that step.
+        """
+        if self._next is None or step < self._next:
+            return Measurements(stamp_ns)
+        readings: dict[str, list[Any]] = {}
+        for task in self._tasks:
+            if task.due <= step and task.advance(step):
+                try:
+                    readings.setdefault(task.kind, []).append(task.read(world, step, stamp_ns))
+                except GibsonSimError as error:
+                    task.miss(self._robot.name, error)
+        self._next = min(task.due for task in self._tasks)
+        return Measurements(stamp_ns, **{kind: tuple(values) for kind, values in readings.items()})
+
+    def _noise(self, spec: LidarSpec | Lidar3DSpec) -> NoiseSource | None:
+        if not (spec.range_noise or spec.resolution or spec.dropout):
+            return None
+        return NoiseSource(f"{self._robot.name}/{spec.name}", self._seed, spec.seed)
+
+    def _scan(self, spec: LidarSpec) -> _Read:
+        noise = self._noise(spec)
+        return lambda world, step, stamp_ns: measure_scan(spec, world.state(), world.cast_rays, noise)
+
+    def _cloud(self, spec: Lidar3DSpec) -> _Read:
+        noise = self._noise(spec)
+        return lambda world, step, stamp_ns: measure_cloud(spec, world.state(), world.cast_rays, noise)
+
+    def _bumper(self, spec: BumperSpec) -> _Read:
+        return lambda world, step, stamp_ns: measure_bumper(spec, world.state(), world.contacts(self._robot.name))
+
+    def _drain(self, world: World, step: int, stamp_ns: int) -> BatteryReading:
+        assert self._battery is not None
+        power = self._battery.power(world.joint_states(self._robot.name))
+        reading = self._battery.drain(power, (step - self._last_drain) / self._step_hz, stamp_ns)
+        self._last_drain = step
+        charge = "empty" if reading.empty else "low" if reading.low else "well"
+        if charge not in ("well", self._charge_reported):
+            logger.warning("battery of robot %r is %s: %.0f %% left", self._robot.name, charge, 100 * reading.percentage)
+        self._charge_reported = charge
+        return reading
+
+
+def _imu(imu: Imu) -> _Read:
+    return lambda world, step, stamp_ns: imu.measure(world.state())
+
+
+class _Timer:
+    """The steps at which a sensor is due, in whole numbers: the same as ``schedule.is_due`` at every tick."""
+
+    def __init__(self, rate_hz: float, step_hz: int, steps_per_tick: int) -> None:
+        tick_hz = Fraction(step_hz, steps_per_tick)
+        ratio = min(Fraction(rate_hz).limit_denominator(1000) / tick_hz, Fraction(1))
+        self._up, self._down, self._steps = ratio.numerator, ratio.denominator, steps_per_tick
+
+    def count(self, step: int) -> int:
+        """Returns how often the sensor was due until ``step``, that step included."""
+        return step // self._steps * self._up // self._down
+
+    def step_of(self, count: int) -> int:
+        """Returns the step at which it is due for the ``count``-th time."""
+        return -(-count * self._down // self._up) * self._steps
+
+
+class _Task:
+    """One sensor and when it is due next."""
+
+    def __init__(self, name: str, kind: str, timer: _Timer, read: _Read) -> None:
+        self.name, self.kind, self.read = name, kind, read
+        self._timer = timer
+        self.start(0)
+
+    def start(self, step: int) -> None:
+        self._count = self._timer.count(step)
+        self.due = self._timer.step_of(self._count + 1)
+        self.misses = 0
+
+    def advance(self, step: int) -> bool:
+        """Returns whether the sensor is due at ``step``; goes on to the next time, and counts those before ``step`` as missed."""
+        count = self._timer.count(step)
+        now = self._timer.step_of(count) == step
+        self.misses += count - self._count - now
+        self._count = count
+        self.due = self._timer.step_of(count + 1)
+        return now
+
+    def miss(self, robot: str, error: GibsonSimError) -> None:
+        if not self.misses:
+            logger.warning("sensor %r of robot %r measures nothing: %s", self.name, robot, error)
+        self.misses += 1

@@ -1,0 +1,56 @@
+"""What can be spawned and loaded, of the usual places and of those that a client names."""
+
+from __future__ import annotations
+
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.scenes.spawning import Spawnable, find_spawnables
+from gibson_sim.scenes.worlds import World, find_worlds
+from gibson_sim.simulation.codes import Result, SimulationError, WorldsCode, quoted, shortened
+from gibson_sim.simulation.filters import TagsFilter
+
+
+def available_worlds(sources: tuple[str, ...], tags: TagsFilter, *, continue_on_error: bool) -> tuple[World, ...]:
+    """Returns the worlds that can be loaded.
+
+    Args:
+        sources: Places beside the usual ones.
+        tags: Filter on the worlds' tags.
+        continue_on_error: Leave out places that cannot be read, unless no place has a world.
+
+    Raises:
+        SimulationError: a place cannot be read, or the filter is impossible.
+    """
+    tags.check()
+    found: dict[str, World] = {}
+    failures: list[SimulationError] = []
+    for places, code in (((), WorldsCode.DEFAULT_SOURCES_FAILED), *(((source,), Result.NOT_FOUND) for source in sources)):
+        try:
+            found.update({world.uri: world for world in find_worlds(places, continue_on_error=continue_on_error)})
+        except GibsonSimError as error:
+            failures.append(SimulationError(code, str(error)))
+    if failures and not (continue_on_error and found):
+        raise failures[0]
+    return tuple(world for world in found.values() if tags.passes(world.tags))
+
+
+def spawnables(sources: tuple[str, ...]) -> tuple[tuple[Spawnable, ...], str]:
+    """Returns what can be spawned, and one line that names the sources with nothing to spawn: they do not make the request fail."""
+    found = {spawnable.uri: spawnable for spawnable in find_spawnables(())}
+    failures = []
+    for source in sources:
+        try:
+            found.update({spawnable.uri: spawnable for spawnable in find_spawnables((source,))})
+        except GibsonSimError as error:
+            failures.append(f"source {quoted(source)}: {error}")
+    return tuple(found.values()), shortened("; ".join(failures))
+
+
+def description_of(uri: str) -> World | None:
+    """Returns what is known of the world that a uri means, without loading it; None where it means several, or none."""
+    try:
+        ours = find_worlds(())
+        named = [world for world in ours if world.uri == uri]
+        found = named or list(find_worlds((uri,))[len(ours) :])
+    except GibsonSimError:
+        return None
+    return found[0] if len(found) == 1 else None

@@ -1,0 +1,79 @@
+"""Which entities, poses and worlds a client wants: every filter that is set must be passed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+from numpy.typing import ArrayLike
+
+from gibson_sim.simulation.bounds import Bounds, BoundsType, Overlap
+from gibson_sim.simulation.codes import Result, SimulationError
+from gibson_sim.simulation.entities import Entity
+from gibson_sim.simulation.posix_regex import PatternError, PosixRegex
+
+FILTER_MODE_ANY, FILTER_MODE_ALL = 0, 1
+
+
+@dataclass(frozen=True, slots=True)
+class TagsFilter:
+    """Passes what has any, or all, of the tags; no tags = everything."""
+
+    tags: tuple[str, ...] = ()
+    mode: int = FILTER_MODE_ANY
+
+    def check(self) -> None:
+        """Raises SimulationError where the mode is unknown."""
+        if self.mode not in (FILTER_MODE_ANY, FILTER_MODE_ALL):
+            raise SimulationError(
+                Result.OPERATION_FAILED, f"filter_mode of the tags is {self.mode}, must be 0 (any of them) or 1 (all of them)"
+            )
+
+    def passes(self, tags: Iterable[str]) -> bool:
+        """Returns whether something with these tags passes."""
+        has = set(tags)
+        if not self.tags:
+            return True
+        return has.issuperset(self.tags) if self.mode == FILTER_MODE_ALL else not has.isdisjoint(self.tags)
+
+
+@dataclass(frozen=True, slots=True)
+class EntityFilters:
+    """Filters on entities."""
+
+    pattern: str = ""
+    """POSIX extended regular expression, found anywhere in the name; empty = any name."""
+    categories: tuple[int, ...] = ()
+    """Any of these; empty = any."""
+    tags: TagsFilter = field(default_factory=TagsFilter)
+    bounds: Bounds = field(default_factory=lambda: Bounds(BoundsType.EMPTY))
+    """World frame, metres."""
+
+
+def filtered(
+    entities: Iterable[Entity], filters: EntityFilters, box_of: Callable[[str], tuple[ArrayLike, ArrayLike]]
+) -> tuple[Entity, ...]:
+    """Returns the entities that pass.
+
+    Args:
+        entities: All there are.
+        filters: What the client asks for.
+        box_of: Returns the lowest and the highest corner of an entity, world frame; asked only of those that pass the rest.
+
+    Raises:
+        SimulationError: a filter is impossible.
+    """
+    try:
+        pattern = PosixRegex(filters.pattern)
+    except PatternError as error:
+        raise SimulationError(Result.OPERATION_FAILED, f"filter: {error}") from error
+    filters.tags.check()
+    overlap = Overlap(filters.bounds)
+    return tuple(
+        entity
+        for entity in entities
+        if (not filters.categories or entity.info.category in filters.categories)
+        and filters.tags.passes(entity.info.tags)
+        and pattern.search(entity.name)
+        and (overlap.anywhere or overlap.with_box(*box_of(entity.name)))
+    )

@@ -1,0 +1,281 @@
+"""The entities of one loaded world: spawning, deleting, looking at them, moving them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.geometry.transforms import (
+    Mat4,
+    invert,
+    matrix_from_pose,
+    matrix_from_quat,
+    pose_from_matrix,
+)
+from gibson_sim.physics.world import PhysicsWorld
+from gibson_sim.robots.body import BodySpec
+from gibson_sim.robots.spec import RobotSpec
+from gibson_sim.scenes import spawning
+from gibson_sim.scenes.placement import in_namespace
+from gibson_sim.simulation.bounds import Bounds, box_bounds
+from gibson_sim.simulation.codes import EntityStateCode, Result, SimulationError, SpawnCode, quoted
+from gibson_sim.simulation.entities import Entity, EntityInfo, check_info, check_namespace, choose_name, first_info
+from gibson_sim.simulation.filters import EntityFilters, filtered
+from gibson_sim.simulation.poses import WORLD_FRAMES, checked_pose, checked_velocity, vec3
+from gibson_sim.types import Pose, Quat, Vec3
+
+MOST_ENTITIES = 2000
+"""In a world: beyond it the physics of even resting bodies is slow, and messages that list all of them get large."""
+_MOST_LISTED = 8
+
+
+@dataclass(frozen=True, slots=True)
+class SpawnRequest:
+    """What a client wants to spawn, unchecked."""
+
+    name: str = ""
+    allow_renaming: bool = False
+    uri: str = ""
+    text: str = ""
+    """The file itself; used where ``uri`` is empty."""
+    namespace: str = ""
+    frame_id: str = ""
+    position: Vec3 = (0.0, 0.0, 0.0)
+    quat_xyzw: Quat = (0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class SpawnOutcome:
+    """How one of several requests ended: a name, or an error."""
+
+    name: str = ""
+    error: SimulationError | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class EntityState:
+    """Where an entity is and how it moves, world frame."""
+
+    pose: Pose
+    """T_world_root."""
+    linear: Vec3 = (0.0, 0.0, 0.0)
+    """m/s, of the root's origin."""
+    angular: Vec3 = (0.0, 0.0, 0.0)
+    """rad/s."""
+
+
+@dataclass(frozen=True, slots=True)
+class StateChange:
+    """What a client wants an entity to do, unchecked, in the frame ``frame_id``."""
+
+    frame_id: str = ""
+    position: Vec3 = (0.0, 0.0, 0.0)
+    quat_xyzw: Quat = (0.0, 0.0, 0.0, 1.0)
+    linear: Vec3 = (0.0, 0.0, 0.0)
+    angular: Vec3 = (0.0, 0.0, 0.0)
+    acceleration: tuple[float, ...] = (0.0,) * 6
+    """Ignored but for static entities, which cannot have one."""
+    set_pose: bool = True
+    set_twist: bool = True
+    set_acceleration: bool = True
+
+
+class Population:
+    """All robots and bodies of a world. Every method may raise SimulationError with a code of its service."""
+
+    def __init__(self, world: PhysicsWorld, *, robot_tf: str = "namespaced", most: int = MOST_ENTITIES) -> None:
+        """Takes over what is in ``world``.
+
+        Args:
+            world: The world that it changes; its owner closes it.
+            robot_tf: How robots with a namespace publish transforms, see ``gibson_sim.config.PhysicsConfig``.
+            most: How many entities there may be.
+        """
+        self._world, self._robot_tf, self._most = world, robot_tf, most
+        self._initial = world.scene
+        self._entities: dict[str, Entity] = {}
+        self._take_stock()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all entities."""
+        return tuple(self._entities)
+
+    def matching(self, filters: EntityFilters) -> tuple[Entity, ...]:
+        """Returns the entities that pass all filters."""
+        return filtered(self._entities.values(), filters, self._world.bounds)
+
+    def entity(self, name: str) -> Entity:
+        """Returns what is known of an entity."""
+        found = self._entities.get(name)
+        if found is None:
+            raise SimulationError(Result.NOT_FOUND, f"there is no entity {quoted(name)}; {self._listed()}")
+        return found
+
+    def set_info(self, name: str, info: EntityInfo) -> None:
+        """Replaces category, description and tags of an entity."""
+        entity = self.entity(name)
+        self._entities[name] = replace(entity, info=check_info(info))
+
+    def state(self, name: str) -> EntityState:
+        """Returns where an entity is and how it moves."""
+        self.entity(name)
+        linear, angular = self._world.body_twist(name)
+        return EntityState(self._world.body_pose(name), vec3(linear), vec3(angular))
+
+    def set_state(self, name: str, change: StateChange) -> None:
+        """Moves an entity, or changes its velocity, at once.
+
+        A velocity is that of the root's origin as seen in the frame; a frame that moves takes the entity along.
+        """
+        self.entity(name)
+        moves = any((*(change.linear if change.set_twist else ()), *(change.angular if change.set_twist else ())))
+        speeds_up = change.set_acceleration and any(change.acceleration)
+        if self._world.is_static(name) and (moves or speeds_up):
+            raise SimulationError(
+                Result.OPERATION_FAILED, f"entity {name!r} is static: it can be placed, but its twist and acceleration must be 0"
+            )
+        frame = self._frame(change.frame_id, EntityStateCode.INVALID_POSE)
+        pose = self.state(name).pose
+        if change.set_pose:
+            T_frame_entity = matrix_from_pose(checked_pose(change.position, change.quat_xyzw, EntityStateCode.INVALID_POSE))
+            pose = self._placed(frame, T_frame_entity, EntityStateCode.INVALID_POSE)
+        linear, angular = None, None
+        if change.set_twist:
+            seen_linear = np.array(checked_velocity("linear", change.linear, "m/s"))
+            seen_angular = np.array(checked_velocity("angular", change.angular, "rad/s"))
+            rotation = matrix_from_quat(frame.pose.quat_xyzw)
+            arm = np.array(pose.position) - np.array(frame.pose.position)
+            linear = vec3(rotation @ seen_linear + np.array(frame.linear) + np.cross(frame.angular, arm))
+            angular = vec3(rotation @ seen_angular + np.array(frame.angular))
+        self._change(
+            Result.OPERATION_FAILED, lambda: self._world.set_state(name, pose if change.set_pose else None, linear, angular)
+        )
+
+    def bounds(self, name: str) -> Bounds:
+        """Returns a box about the collision shapes of an entity, in the frame of its root link."""
+        self.entity(name)
+        T_root_world = invert(matrix_from_pose(self._world.body_pose(name)))
+        low, high = self._world.bounds(name, T_frame_world=T_root_world)
+        return box_bounds(vec3(low), vec3(high))
+
+    def spawn(self, request: SpawnRequest) -> str:
+        """Puts a new robot or body into the world and returns its name."""
+        if not (request.uri.strip() or request.text.strip()):
+            raise SimulationError(SpawnCode.NO_RESOURCE, "neither a uri nor a resource_string is given; see get_spawnables")
+        if len(self._entities) >= self._most:
+            raise SimulationError(
+                Result.OPERATION_FAILED, f"there are {self._most} entities, and there may not be more: delete some"
+            )
+        check_namespace(request.namespace)
+        pose = self._placed(
+            self._frame(request.frame_id, SpawnCode.INVALID_POSE),
+            matrix_from_pose(checked_pose(request.position, request.quat_xyzw, SpawnCode.INVALID_POSE)),
+            SpawnCode.INVALID_POSE,
+        )
+        try:
+            in_file = "" if request.name else spawning.spawn_name(request.uri, request.text)
+            name = choose_name(request.name, in_file, request.allow_renaming, self._entities)
+            spec = spawning.load_spawnable(request.uri, request.text, name=name, pose=pose)
+        except spawning.SpawnError as error:
+            raise SimulationError(SpawnCode[error.code.name], str(error)) from error
+        namespace = request.namespace.strip("/")
+        if isinstance(spec, RobotSpec):
+            namespace = self._robot_namespace(name, namespace)
+            spec = in_namespace(spec, namespace, self._robot_tf) if namespace else spec
+        self._change(Result.OPERATION_FAILED, lambda: self._add(spec))
+        self._entities[name] = Entity(name, first_info(spec), namespace, spawned=True)
+        return name
+
+    def spawn_all(self, requests: Sequence[SpawnRequest]) -> tuple[SpawnOutcome, ...]:
+        """Spawns one after the other; returns how each went. What could be spawned stays where others fail."""
+        outcomes = []
+        for request in requests:
+            try:
+                outcomes.append(SpawnOutcome(self.spawn(request)))
+            except SimulationError as error:
+                outcomes.append(SpawnOutcome(error=error))
+        return tuple(outcomes)
+
+    def delete(self, name: str) -> None:
+        """Takes an entity out of the world."""
+        self.entity(name)
+        self._change(Result.OPERATION_FAILED, lambda: self._world.remove(name))
+        del self._entities[name]
+
+    def delete_spawned(self) -> None:
+        """Takes everything that was spawned out of the world."""
+        for name in [e.name for e in self._entities.values() if e.spawned]:
+            self.delete(name)
+
+    def restore(self) -> None:
+        """Makes the entities those that the world was loaded with, in their order: equal order, equal physics."""
+        initial: tuple[RobotSpec | BodySpec, ...] = (*self._initial.robots, *self._initial.bodies)
+        try:
+            if self._world.names != tuple(spec.name for spec in initial):
+                for name in self._world.names:
+                    self._world.remove(name)
+                for spec in initial:
+                    self._add(spec)
+        finally:
+            self._entities = {}
+            self._take_stock()
+
+    def _take_stock(self) -> None:
+        """Lists what the world holds."""
+        scene = self._world.scene
+        for robot in scene.robots:
+            self._entities[robot.name] = Entity(robot.name, first_info(robot), robot.namespace)
+        for body in scene.bodies:
+            self._entities[body.name] = Entity(body.name, first_info(body))
+
+    def _add(self, spec: RobotSpec | BodySpec) -> None:
+        if isinstance(spec, RobotSpec):
+            self._world.add_robot(spec)
+        else:
+            self._world.add_body(spec)
+
+    def _robot_namespace(self, name: str, namespace: str) -> str:
+        """Returns the namespace of a new robot: its name where none is asked for and another robot has none already."""
+        used = {robot.namespace: robot.name for robot in self._world.scene.robots}
+        if not namespace and namespace in used:
+            namespace = name
+        if namespace in used:
+            raise SimulationError(
+                SpawnCode.NAMESPACE_INVALID,
+                f"namespace {quoted(namespace)} is that of robot {used[namespace]!r}; two robots cannot share their topics",
+            )
+        return namespace
+
+    def _frame(self, frame_id: str, code: IntEnum) -> EntityState:
+        """Returns where a frame is and how it moves: the world, or the root link of an entity."""
+        if frame_id in WORLD_FRAMES:
+            return EntityState(Pose())
+        if frame_id in self._entities:
+            return self.state(frame_id)
+        raise SimulationError(
+            code, f"frame {quoted(frame_id)} is not known; use '', 'world', 'map' or the name of an entity; {self._listed()}"
+        )
+
+    @staticmethod
+    def _placed(frame: EntityState, T_frame_entity: Mat4, code: IntEnum) -> Pose:
+        """Returns T_world_entity, which must be near enough too."""
+        pose = pose_from_matrix(matrix_from_pose(frame.pose) @ T_frame_entity)
+        return checked_pose(pose.position, pose.quat_xyzw, code)
+
+    @staticmethod
+    def _change(code: IntEnum, change: Callable[[], None]) -> None:
+        """Changes the world; what it refuses becomes an error of ``code``."""
+        try:
+            change()
+        except GibsonSimError as error:
+            raise SimulationError(code, str(error)) from error
+
+    def _listed(self) -> str:
+        names = list(self._entities)
+        more = f" and {len(names) - _MOST_LISTED} more" if len(names) > _MOST_LISTED else ""
+        return f"there are: {', '.join(names[:_MOST_LISTED]) or 'none'}{more}"

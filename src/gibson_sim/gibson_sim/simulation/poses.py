@@ -1,0 +1,57 @@
+"""Poses and velocities as clients send them: seven numbers that may be anything, in a frame that may be unknown."""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gibson_sim.simulation.codes import Result, SimulationError
+from gibson_sim.types import Pose, Quat, Vec3
+
+FARTHEST = 1e4
+"""Metres from the origin along each axis: beyond it single-precision images and contacts get rough."""
+FASTEST = 1e3
+"""m/s and rad/s."""
+NORM_TOLERANCE = 0.01
+"""How far the length of a quaternion may be from 1: clients round to two digits."""
+WORLD_FRAMES = ("", "world", "map")
+"""What clients call the world frame."""
+
+
+def checked_pose(position: Vec3, quat_xyzw: Quat, code: IntEnum) -> Pose:
+    """Returns the pose, its quaternion normalised; one of four zeros, which messages of some clients begin as, is no rotation.
+
+    Raises:
+        SimulationError: with ``code``.
+    """
+    if not all(map(math.isfinite, (*position, *quat_xyzw))):
+        raise SimulationError(code, f"the pose holds a NaN or an infinity: position {position}, orientation {quat_xyzw}")
+    if any(abs(c) > FARTHEST for c in position):
+        raise SimulationError(
+            code, f"position {position} is too far away; each coordinate must be -{FARTHEST:g} to {FARTHEST:g} m"
+        )
+    norm = math.hypot(*quat_xyzw)
+    if norm == 0.0:
+        return Pose(position)
+    if abs(norm - 1.0) > NORM_TOLERANCE:
+        raise SimulationError(code, f"orientation {quat_xyzw} (x, y, z, w) has length {norm:g}, must be 1: normalise it")
+    x, y, z, w = (c / norm for c in quat_xyzw)
+    return Pose(position, (x, y, z, w))
+
+
+def checked_velocity(what: str, velocity: Vec3, unit: str) -> Vec3:
+    """Returns the velocity, or raises SimulationError(OPERATION_FAILED)."""
+    if not all(math.isfinite(c) and abs(c) <= FASTEST for c in velocity):
+        raise SimulationError(
+            Result.OPERATION_FAILED, f"{what} velocity is {velocity}, each part must be -{FASTEST:g} to {FASTEST:g} {unit}"
+        )
+    return velocity
+
+
+def vec3(values: ArrayLike) -> Vec3:
+    """Returns three numbers as a tuple."""
+    x, y, z = np.asarray(values, dtype=np.float64).tolist()
+    return (x, y, z)

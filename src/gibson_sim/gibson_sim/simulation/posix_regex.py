@@ -1,0 +1,330 @@
+"""POSIX extended regular expressions that cannot be made to run for long.
+
+Python's ``re`` has another syntax and takes exponential time for hostile patterns; a simulator must not stand still because of a
+filter. A pattern becomes an automaton of one state per character in it (Glushkov's), and its states are the bits of one integer, so a
+text costs time in proportion to its length. https://pubs.opengroup.org/onlinepubs/9799919799/basedefs/V1_chap09.html, section 9.4;
+without back-references, which extended expressions do not have, and with the POSIX locale's classes.
+"""
+
+from __future__ import annotations
+
+import re
+import string
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import reduce
+from operator import or_
+
+from gibson_sim.errors import ConfigError
+
+LONGEST_PATTERN = 1000
+"""Characters."""
+MOST_STATES = 256
+"""Characters of the pattern after ``{2,5}`` and the like are written out."""
+_MOST_REPEATS = 255
+_DEEPEST = 50
+_MOST_REMEMBERED = 20_000
+_START, _END = "\x02", "\x03"
+"""Stand before and after every text, so that anchors are characters like others."""
+_INTERVAL = re.compile(r"([0-9]{1,4})(,([0-9]{1,4})?)?}")
+_SPECIAL = "^.[$()|*+?{\\"
+_ASCII = [chr(i) for i in range(128)]
+_CLASSES = {
+    "alpha": frozenset(string.ascii_letters),
+    "digit": frozenset(string.digits),
+    "alnum": frozenset(string.ascii_letters + string.digits),
+    "upper": frozenset(string.ascii_uppercase),
+    "lower": frozenset(string.ascii_lowercase),
+    "xdigit": frozenset(string.hexdigits),
+    "space": frozenset(string.whitespace),
+    "blank": frozenset(" \t"),
+    "punct": frozenset(string.punctuation),
+    "cntrl": frozenset(c for c in _ASCII if ord(c) < 32 or ord(c) == 127),
+    "print": frozenset(c for c in _ASCII if 32 <= ord(c) < 127),
+    "graph": frozenset(c for c in _ASCII if 33 <= ord(c) < 127),
+}
+
+
+class PatternError(ConfigError):
+    """A pattern is no POSIX extended regular expression, or too large."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Characters:
+    """What one position of the pattern matches."""
+
+    chars: frozenset[str] = frozenset()
+    ranges: tuple[tuple[str, str], ...] = ()
+    negated: bool = False
+
+    def matches(self, char: str) -> bool:
+        found = char in self.chars or any(low <= char <= high for low, high in self.ranges)
+        return found != self.negated and (not self.negated or char not in (_START, _END))
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A piece of the automaton: sets of positions are integers, one bit each."""
+
+    nullable: bool
+    first: int
+    last: int
+
+
+class PosixRegex:
+    """A compiled pattern.
+
+    Raises:
+        PatternError: the pattern is none, or too large.
+    """
+
+    def __init__(self, pattern: str) -> None:
+        if len(pattern) > LONGEST_PATTERN:
+            raise PatternError(f"the pattern has {len(pattern)} characters, must be at most {LONGEST_PATTERN}")
+        if _START in pattern or _END in pattern:
+            raise PatternError("the pattern holds a control character (2 or 3), which no name has")
+        builder = _Builder()
+        self._whole = builder.build(_Parser(pattern).parse())
+        self._positions, self._follow = builder.positions, builder.follow
+        self._next: dict[tuple[int, str], int] = {}
+
+    def search(self, text: str) -> bool:
+        """Returns whether the pattern matches anywhere in ``text``, as POSIX ``regexec`` does; ``^`` and ``$`` tie it to the ends."""
+        if self._whole.nullable:
+            return True
+        states = 0
+        for char in (_START, *text, _END):
+            states = self._step(states, char)
+            if states & self._whole.last:
+                return True
+        return False
+
+    def _step(self, states: int, char: str) -> int:
+        """Returns the positions that ``char`` leads to; a match may begin at every character."""
+        key = (states, char)
+        known = self._next.get(key)
+        if known is not None:
+            return known
+        reachable = self._whole.first | _united(self._follow[i] for i in _bits(states))
+        after = _united(1 << i for i in _bits(reachable) if self._positions[i].matches(char))
+        if len(self._next) >= _MOST_REMEMBERED:
+            self._next.clear()
+        self._next[key] = after
+        return after
+
+
+@dataclass(frozen=True, slots=True)
+class _Repeat:
+    """``part`` ``low`` to ``high`` times; None = no end."""
+
+    part: _Node
+    low: int
+    high: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Sequence:
+    parts: tuple[_Node, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Choice:
+    parts: tuple[_Node, ...]
+
+
+_Node = _Characters | _Repeat | _Sequence | _Choice
+
+
+class _Builder:
+    """Makes the automaton: its positions, and who follows whom."""
+
+    def __init__(self) -> None:
+        self.positions: list[_Characters] = []
+        self.follow: list[int] = []
+        self._work = 0
+
+    def build(self, node: _Node) -> _Part:
+        self._work += 1
+        if self._work > 8 * MOST_STATES or len(self.positions) > MOST_STATES:
+            raise PatternError(
+                f"the pattern is too large: more than {MOST_STATES} characters when what {{m,n}} repeats is written out"
+            )
+        if isinstance(node, _Characters):
+            bit = 1 << len(self.positions)
+            self.positions.append(node)
+            self.follow.append(0)
+            return _Part(False, bit, bit)
+        if isinstance(node, _Choice):
+            parts = [self.build(part) for part in node.parts]
+            return _Part(any(p.nullable for p in parts), _united(p.first for p in parts), _united(p.last for p in parts))
+        if isinstance(node, _Sequence):
+            return self._join([self.build(part) for part in node.parts])
+        return self._repeat(node)
+
+    def _repeat(self, node: _Repeat) -> _Part:
+        copies = []
+        for i in range(max(node.low, 1) if node.high is None else node.high):
+            copy = self.build(node.part)
+            copies.append(copy if i < node.low else _Part(True, copy.first, copy.last))
+        if node.high is None:
+            self._connect(copies[-1].last, copies[-1].first)
+        return self._join(copies)
+
+    def _join(self, parts: list[_Part]) -> _Part:
+        whole = _Part(True, 0, 0)
+        for part in parts:
+            self._connect(whole.last, part.first)
+            whole = _Part(
+                whole.nullable and part.nullable,
+                whole.first | (part.first if whole.nullable else 0),
+                part.last | (whole.last if part.nullable else 0),
+            )
+        return whole
+
+    def _connect(self, last: int, first: int) -> None:
+        for i in _bits(last):
+            self.follow[i] |= first
+
+
+class _Parser:
+    """Reads a pattern from left to right."""
+
+    def __init__(self, pattern: str) -> None:
+        self._pattern, self._at, self._depth = pattern, 0, 0
+
+    def parse(self) -> _Node:
+        node = self._choice()
+        if self._peek():
+            raise self._error("a ) that closes nothing; write \\) for the character")
+        return node
+
+    def _error(self, what: str) -> PatternError:
+        shown = self._pattern if len(self._pattern) <= 80 else f"{self._pattern[:80]}..."
+        return PatternError(f"{shown!r} is no POSIX extended regular expression: at character {self._at + 1}: {what}")
+
+    def _peek(self) -> str:
+        return self._pattern[self._at : self._at + 1]
+
+    def _choice(self) -> _Node:
+        self._depth += 1
+        if self._depth > _DEEPEST:
+            raise self._error(f"more than {_DEEPEST} parentheses in each other")
+        parts = [self._sequence()]
+        while self._peek() == "|":
+            self._at += 1
+            parts.append(self._sequence())
+        self._depth -= 1
+        return _Choice(tuple(parts))
+
+    def _sequence(self) -> _Node:
+        parts: list[_Node] = []
+        while self._peek() not in ("", "|", ")"):
+            node = self._atom()
+            while self._peek() in ("*", "+", "?", "{"):
+                node = _Repeat(node, *self._counts())
+            parts.append(node)
+        return _Sequence(tuple(parts))
+
+    def _counts(self) -> tuple[int, int | None]:
+        """Reads one of ``* + ? {m} {m,} {m,n}``; returns the least and the greatest number, None = no end."""
+        sign = self._peek()
+        self._at += 1
+        if sign != "{":
+            return {"*": (0, None), "+": (1, None), "?": (0, 1)}[sign]
+        found = _INTERVAL.match(self._pattern, self._at)
+        if not found:
+            raise self._error("a { must begin {m}, {m,} or {m,n}; write \\{ for the character")
+        low = int(found[1])
+        high = int(found[3]) if found[3] else None if found[2] else low
+        if max(low, high or 0) > _MOST_REPEATS or (high is not None and high < low):
+            raise self._error(f"the numbers in {{m,n}} must be 0 to {_MOST_REPEATS}, the second not below the first")
+        self._at = found.end()
+        return low, high
+
+    def _atom(self) -> _Node:
+        char = self._peek()
+        if char in ("*", "+", "?", "{"):
+            raise self._error(f"nothing stands before {char}; write \\{char} for the character")
+        self._at += 1
+        if char == "(":
+            node = self._choice()
+            if self._peek() != ")":
+                raise self._error("a ( is not closed")
+            self._at += 1
+            return node
+        if char == "[":
+            return self._bracket()
+        if char == "\\":
+            return self._escaped()
+        if char == ".":
+            return _Characters(negated=True)
+        return _Characters(frozenset({"^": _START, "$": _END}.get(char, char)))
+
+    def _escaped(self) -> _Characters:
+        char = self._peek()
+        if not char:
+            raise self._error("a \\ stands at the end")
+        if char not in _SPECIAL and char.isalnum():
+            raise self._error(f"\\{char} means nothing here; write [[:digit:]], [[:alpha:]], [[:space:]] and so on for classes")
+        self._at += 1
+        return _Characters(frozenset(char))
+
+    def _bracket(self) -> _Characters:
+        """Reads what stands in ``[...]``, its first bracket read already."""
+        negated = self._peek() == "^"
+        self._at += negated
+        chars: set[str] = set()
+        ranges: list[tuple[str, str]] = []
+        begun = self._at
+        while self._peek() != "]" or self._at == begun:
+            if not self._peek():
+                raise self._error("a [ is not closed")
+            if self._pattern.startswith("[:", self._at):
+                chars |= self._class()
+                continue
+            low = self._bracket_character()
+            if self._peek() == "-" and self._pattern[self._at + 1 : self._at + 2] not in ("]", ""):
+                self._at += 1
+                high = self._bracket_character()
+                if high < low:
+                    raise self._error(f"the range {low}-{high} runs backwards")
+                ranges.append((low, high))
+            else:
+                chars.add(low)
+        self._at += 1
+        return _Characters(frozenset(chars), tuple(ranges), negated)
+
+    def _bracket_character(self) -> str:
+        for opening in ("[.", "[="):
+            if self._pattern.startswith(opening, self._at):
+                char = self._pattern[self._at + 2 : self._at + 3]
+                if self._pattern[self._at + 3 : self._at + 5] != f"{opening[1]}]":
+                    raise self._error(f"{opening} must hold one character and end with {opening[1]}]")
+                self._at += 5
+                return char
+        char = self._peek()
+        if not char:
+            raise self._error("a [ is not closed")
+        self._at += 1
+        return char
+
+    def _class(self) -> frozenset[str]:
+        end = self._pattern.find(":]", self._at + 2)
+        name = self._pattern[self._at + 2 : end] if end >= 0 else ""
+        if name not in _CLASSES:
+            raise self._error(f"there is no class {name!r}; known: {', '.join(sorted(_CLASSES))}")
+        self._at = end + 2
+        return _CLASSES[name]
+
+
+def _bits(states: int) -> Iterator[int]:
+    """Yields the numbers of the bits that are set."""
+    while states:
+        lowest = states & -states
+        yield lowest.bit_length() - 1
+        states ^= lowest
+
+
+def _united(sets: Iterable[int]) -> int:
+    """Returns all bits of all ``sets``."""
+    return reduce(or_, sets, 0)

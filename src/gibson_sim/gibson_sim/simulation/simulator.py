@@ -1,0 +1,359 @@
+"""The simulation as ``simulation_interfaces`` sees it: a state, a world or none, and steps that clients ask for.
+
+The node's loop does this, and nothing else makes time::
+
+    steps = simulator.steps_due(pacer.due(now_ns))   # also while paused: what the pacer says then is dropped
+    for _ in range(steps):
+        simulator.step()                             # one physics step; publish what is due at it
+    if simulator.scene.revision != published: ...    # entities came or went, or there is another world: publish the scene anew
+    if simulator.epoch != seen: ...                  # it was reset, or there is another world: ``simulator.last_reset`` says how
+    if simulator.quitting: ...                       # let the services answer, then end
+
+``simulator.world`` is None while there is no world. It is another object after ``load_world``: never keep it.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from gibson_sim.config import PhysicsConfig
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.physics.world import PhysicsWorld
+from gibson_sim.scenes import worlds
+from gibson_sim.scenes.named_poses import NamedPose, named_poses
+from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.simulation.bounds import Bounds, box_bounds
+from gibson_sim.simulation.catalogue import description_of
+from gibson_sim.simulation.codes import (
+    LoadWorldCode,
+    Result,
+    SimulationError,
+    StateCode,
+    WorldCode,
+    quoted,
+)
+from gibson_sim.simulation.filters import TagsFilter
+from gibson_sim.simulation.population import Population
+from gibson_sim.simulation.requests import LastReset, LoadRequest, ResetScope, WorldInfo
+from gibson_sim.simulation.states import HAS_WORLD, SimulationState, check_transition
+from gibson_sim.simulation.stepping import StepQueue, StepRequest
+
+logger = logging.getLogger(__name__)
+
+STEPS_AT_ONCE = 60
+"""Most steps that the loop makes for clients before it looks at messages again."""
+EVERYTHING = 255
+
+
+_ALL = ResetScope.TIME | ResetScope.STATE | ResetScope.SPAWNED
+
+
+class Simulator:
+    """Owns the world. Not thread-safe but for ``read_world``. Close it, whatever happens."""
+
+    def __init__(
+        self,
+        scene: SceneSpec | None,
+        config: PhysicsConfig,
+        *,
+        make_world: Callable[..., PhysicsWorld] = PhysicsWorld,
+    ) -> None:
+        """Loads the scene; it plays at once, unless ``config.start_paused``: then it is stopped.
+
+        Args:
+            scene: What there is at first; None = no world.
+            config: Settings of the physics node.
+            make_world: Makes a world of a scene.
+
+        Raises:
+            GibsonSimError: the scene cannot be used.
+        """
+        self._config, self._make_world = config, make_world
+        self._steps = StepQueue()
+        self._state = SimulationState.NO_WORLD
+        self._world: PhysicsWorld | None = None
+        self._population: Population | None = None
+        self._info: WorldInfo | None = None
+        self._empty = SceneSpec("", Path("/nonexistent"), "", (), (), revision=0)
+        self._first_scene: SceneSpec | None = None
+        self._named_poses: tuple[NamedPose, ...] | None = None
+        self._steps_before = 0
+        self.epoch = 0
+        """Counts resets and worlds."""
+        self.last_reset = LastReset()
+        if scene is not None:
+            self._enter(scene, uri=config.scene)
+            self.epoch = 0
+            self._state = SimulationState.STOPPED if config.start_paused else SimulationState.PLAYING
+
+    @property
+    def state(self) -> SimulationState:
+        """What it is doing."""
+        return self._state
+
+    @property
+    def quitting(self) -> bool:
+        """Whether a client asked for the end."""
+        return self._state is SimulationState.QUITTING
+
+    @property
+    def world(self) -> PhysicsWorld | None:
+        """The world, if there is one."""
+        return self._world
+
+    @property
+    def scene(self) -> SceneSpec:
+        """What there is now, without a world an empty scene; ``revision`` grows with every change, over all worlds."""
+        return self._empty if self._world is None else self._world.scene
+
+    @property
+    def population(self) -> Population:
+        """The entities.
+
+        Raises:
+            SimulationError: INCORRECT_STATE, there is no world.
+        """
+        if self._population is None or self._state not in HAS_WORLD:
+            raise SimulationError(
+                Result.INCORRECT_STATE, f"the simulation is {self._state.name}, so there are no entities; load a world first"
+            )
+        return self._population
+
+    def set_state(self, target: int) -> None:
+        """Plays, pauses, stops or quits. Steps that are being made for clients end.
+
+        Raises:
+            SimulationError: with a StateCode.
+        """
+        if target == SimulationState.PAUSED and self._state is SimulationState.PAUSED and self._steps.clear("paused"):
+            return
+        wanted = check_transition(self._state, target)
+        self._steps.clear(f"set to {wanted.name}")
+        if wanted is SimulationState.STOPPED:
+            self._state = SimulationState.PAUSED
+            try:
+                self.reset()
+            except SimulationError as error:
+                raise SimulationError(
+                    StateCode.STATE_TRANSITION_ERROR, f"the simulation is paused, but cannot be reset: {error}"
+                ) from error
+        self._state = wanted
+
+    def reset(self, scope: int = EVERYTHING) -> None:
+        """Brings back the beginning, or parts of it. The state stays: what plays goes on playing.
+
+        Everything (0, 255, or all three bits) also brings back what was deleted, and takes back what clients said of entities.
+
+        Raises:
+            SimulationError: INCORRECT_STATE without a world, OPERATION_FAILED for an unknown scope or a world that refuses.
+        """
+        world, population = self._world, self.population
+        assert world is not None, "a population has a world"
+        if scope not in (0, EVERYTHING) and scope & ~int(_ALL):
+            raise SimulationError(
+                Result.OPERATION_FAILED,
+                f"scope {scope} is not known; 1 = time, 2 = state, 4 = spawned, their sums, 0 or 255 = all",
+            )
+        wanted = _ALL if scope in (0, EVERYTHING) else ResetScope(scope)
+        rewinds = bool(wanted & ResetScope.TIME) and self._config.reset_time == "rewind"
+        self._steps.clear("reset")
+        try:
+            if wanted == _ALL:
+                population.restore()
+            elif wanted & ResetScope.SPAWNED:
+                population.delete_spawned()
+            if wanted & ResetScope.STATE:
+                world.reset(keep_time=True)
+            if rewinds:
+                world.set_step_count(0)
+        except GibsonSimError as error:
+            raise SimulationError(Result.OPERATION_FAILED, f"reset: {error}") from error
+        finally:
+            self._begin_epoch(LastReset(int(wanted), rewinds))
+
+    def steps_due(self, paced: int) -> int:
+        """Returns how many steps the loop makes now.
+
+        Args:
+            paced: How many are due by the pace of wall time, if time passes at all.
+        """
+        if self._world is None:
+            return 0
+        if self._state is SimulationState.PLAYING:
+            return paced
+        return min(self._steps.wanted, STEPS_AT_ONCE) if self._state is SimulationState.PAUSED else 0
+
+    def step(self) -> None:
+        """Makes one step of ``1 / step_hz`` seconds, and counts it for the client that asked for it, if one did."""
+        if self._world is not None:
+            self._world.step(1)
+            self._steps.count_step()
+
+    def request_steps(
+        self,
+        steps: int,
+        on_progress: Callable[[StepRequest], None] | None = None,
+        on_end: Callable[[StepRequest], None] | None = None,
+    ) -> StepRequest:
+        """Asks for steps while paused. They are made in later turns of the loop; ``on_end`` is called once, maybe before this returns.
+
+        Raises:
+            SimulationError: INCORRECT_STATE without a world, OPERATION_FAILED where it is not paused.
+        """
+        if self._state not in HAS_WORLD:
+            raise SimulationError(Result.INCORRECT_STATE, f"the simulation is {self._state.name}; load a world first")
+        if self._state is not SimulationState.PAUSED:
+            raise SimulationError(
+                Result.OPERATION_FAILED,
+                f"the simulation is {self._state.name}, must be PAUSED to make steps: set its state first",
+            )
+        request = StepRequest(steps, on_progress, on_end)
+        self._steps.add(request)
+        return request
+
+    def cancel_steps(self, request: StepRequest) -> None:
+        """Ends a request before its time; no effect on one that has ended."""
+        self._steps.cancel(request, "cancelled")
+
+    def load_world(self, request: LoadRequest) -> WorldInfo:
+        """Replaces the world, at once; see ``begin_load``."""
+        self.begin_load(request)
+        try:
+            scene = self.read_world(request)
+        except SimulationError:
+            self.abandon_load()
+            raise
+        return self.finish_load(request, scene)
+
+    def begin_load(self, request: LoadRequest) -> None:
+        """Unloads the world, as the standard asks for; it is LOADING_WORLD until ``finish_load`` or ``abandon_load``.
+
+        Raises:
+            SimulationError: nothing is named, or another world is being loaded; the present world stays.
+        """
+        if self._state in (SimulationState.LOADING_WORLD, SimulationState.QUITTING):
+            raise SimulationError(Result.INCORRECT_STATE, f"the simulation is {self._state.name}; wait for its end")
+        if not (request.uri.strip() or request.text.strip()):
+            raise SimulationError(
+                LoadWorldCode.NO_RESOURCE, "neither a uri nor a resource_string is given; see get_available_worlds"
+            )
+        self._leave()
+        self._state = SimulationState.LOADING_WORLD
+
+    @staticmethod
+    def read_world(request: LoadRequest) -> SceneSpec:
+        """Returns the scene that is asked for. It touches nothing else and may take long: call it in any thread.
+
+        Raises:
+            SimulationError: with a LoadWorldCode.
+        """
+        try:
+            return worlds.load_world(
+                request.uri,
+                request.text,
+                fail_on_unsupported=request.fail_on_unsupported,
+                ignore_missing=request.ignore_missing,
+            )
+        except worlds.WorldError as error:
+            raise SimulationError(LoadWorldCode[error.code.name], str(error)) from error
+        except GibsonSimError as error:
+            raise SimulationError(LoadWorldCode.RESOURCE_PARSE_ERROR, str(error)) from error
+
+    def finish_load(self, request: LoadRequest, scene: SceneSpec) -> WorldInfo:
+        """Makes the world of a scene that was read; it is stopped.
+
+        Raises:
+            SimulationError: the world refuses, or a client asked for the end meanwhile.
+        """
+        if self._state is not SimulationState.LOADING_WORLD:
+            raise SimulationError(Result.INCORRECT_STATE, f"the simulation became {self._state.name} while the world was read")
+        self._state = SimulationState.NO_WORLD
+        try:
+            self._enter(scene, uri=request.uri, text="" if request.uri.strip() else request.text)
+        except GibsonSimError as error:
+            raise SimulationError(LoadWorldCode.RESOURCE_PARSE_ERROR, str(error)) from error
+        self._state = SimulationState.STOPPED
+        return self.current_world()
+
+    def abandon_load(self) -> None:
+        """Ends the loading of a world that could not be read: there is none now."""
+        if self._state is SimulationState.LOADING_WORLD:
+            self._state = SimulationState.NO_WORLD
+
+    def unload_world(self) -> None:
+        """Leaves no world.
+
+        Raises:
+            SimulationError: WorldCode.NO_WORLD_LOADED, or INCORRECT_STATE while one is being loaded.
+        """
+        if self._state in (SimulationState.LOADING_WORLD, SimulationState.QUITTING):
+            raise SimulationError(Result.INCORRECT_STATE, f"the simulation is {self._state.name}; wait for its end")
+        self.current_world()
+        self._leave()
+        self._state = SimulationState.NO_WORLD
+
+    def current_world(self) -> WorldInfo:
+        """Returns what is known of the world, or raises SimulationError(NO_WORLD_LOADED)."""
+        if self._info is None:
+            raise SimulationError(WorldCode.NO_WORLD_LOADED, "no world is loaded; see get_available_worlds and load_world")
+        return self._info
+
+    def named_poses(self, tags: TagsFilter) -> tuple[NamedPose, ...]:
+        """Returns the poses of the world that have a name."""
+        tags.check()
+        return tuple(pose for pose in self._all_named_poses() if tags.passes(pose.tags))
+
+    def named_pose_bounds(self, name: str) -> Bounds:
+        """Returns the box of free space about a named pose, in its frame."""
+        for pose in self._all_named_poses():
+            if pose.name == name:
+                return box_bounds(pose.low, pose.high)
+        raise SimulationError(Result.NOT_FOUND, f"there is no pose {quoted(name)}; see get_named_poses")
+
+    def close(self) -> None:
+        """Frees the world; a second call does nothing."""
+        self._leave()
+        if self._state is not SimulationState.QUITTING:
+            self._state = SimulationState.NO_WORLD
+
+    def _all_named_poses(self) -> tuple[NamedPose, ...]:
+        if self._first_scene is None:
+            raise SimulationError(
+                Result.INCORRECT_STATE, f"the simulation is {self._state.name}, so there are no poses; load a world first"
+            )
+        if self._named_poses is None:
+            self._named_poses = named_poses(self._first_scene)
+        return self._named_poses
+
+    def _enter(self, scene: SceneSpec, uri: str, text: str = "") -> None:
+        """Makes the world of a scene, with a revision that no scene before it had."""
+        world = self._make_world(
+            replace(scene, revision=self._empty.revision + 1),
+            step_hz=self._config.step_hz,
+            cmd_vel_timeout=self._config.cmd_vel_timeout,
+            seed=self._config.seed,
+        )
+        if self._config.reset_time == "monotonic":
+            world.set_step_count(self._steps_before)
+        known = description_of(uri) if uri else None
+        description, tags = (known.description, known.tags) if known is not None else ("", ())
+        self._world, self._info = world, WorldInfo(scene.name, uri, text, description, tags)
+        self._population = Population(world, robot_tf=self._config.robot_tf)
+        self._first_scene, self._named_poses = world.scene, None
+        self._begin_epoch(LastReset(int(_ALL), world.step_count == 0))
+
+    def _leave(self) -> None:
+        """Frees the world, if there is one."""
+        self._steps.clear("the world was unloaded")
+        if self._world is not None:
+            self._empty = replace(self._empty, revision=self._world.scene.revision + 1)
+            self._steps_before = self._world.step_count
+            self._world.close()
+        self._world = self._population = self._info = self._first_scene = None
+
+    def _begin_epoch(self, reset: LastReset) -> None:
+        self.epoch += 1
+        self.last_reset = reset

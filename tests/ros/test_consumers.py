@@ -1,0 +1,440 @@
+"""Every topic as its usual consumers subscribe to it, at several speeds, and across pauses, steps and resets.
+
+The table is ``support.consumers``. Tests of one speed share a simulation; each leaves it playing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from support.simulation import Launched, Listener, require
+
+require("rclpy", "gibson_msgs", "simulation_interfaces")
+
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from nav_msgs.msg import MapMetaData, OccupancyGrid, Odometry  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+from sensor_msgs.msg import LaserScan, PointCloud2  # noqa: E402
+from simulation_interfaces.msg import SimulationState  # noqa: E402
+from simulation_interfaces.srv import ResetSimulation  # noqa: E402
+from tf2_msgs.msg import TFMessage  # noqa: E402
+
+from gibson_msgs.msg import Epoch  # noqa: E402
+from gibson_sim.geometry.transforms import matrix_from_pose  # noqa: E402
+from gibson_sim.ros.conversions import pose_from_msg  # noqa: E402
+from support.clients import DEEP, LATCHED, Control, drive_until, stamp_ns, step_of, steps_of  # noqa: E402
+from support.consumers import CLOCK, LATCHED_ROWS, STREAMS, TICK, Heard, Row, hear  # noqa: E402
+from support.robots import write_gibson_bot  # noqa: E402
+
+pytestmark = pytest.mark.ros
+DRAWN = (("--rate", "0.3"), ("--rate", "1"))
+FAST = ("--rate", "5", "--no-render")
+"""Nothing is drawn at a high speed: what a slow machine can draw is another test's matter."""
+SPEEDS = (*DRAWN, FAST)
+ENOUGH = 8
+"""Messages of each stream."""
+START = (1.0, 4.7)
+"""In the hall of our flat, facing along x."""
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """gibson_bot with a small camera that every machine can draw."""
+    return write_gibson_bot(tmp_path_factory.mktemp("robot"), camera={"width": 64, "height": 48, "rate_hz": 10.0})
+
+
+def _name(options: tuple[str, ...]) -> str:
+    return "_".join(option.removeprefix("--") for option in options if option != "--no-render")
+
+
+@pytest.fixture(scope="module", params=SPEEDS, ids=_name)
+def sim(ros_domain: int, robot: Path, request: pytest.FixtureRequest) -> Iterator[Launched]:
+    """A simulation; there can be one at a time, so tests that want another one ask for its options."""
+    start = f"{START[0]},{START[1]},0"
+    launched = Launched("run", "--robot", str(robot), "--start", start, *request.param)
+    launched.wait_for_line("collision shapes" if "--no-render" in request.param else "triangles")
+    yield launched
+    assert launched.stop() == 0, "\n".join(launched.lines)
+
+
+def _options(*options: str) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("sim", [options], indirect=True, ids=_name, scope="module")
+
+
+@pytest.fixture(scope="module")
+def row(request: pytest.FixtureRequest) -> Row:
+    assert isinstance(request.param, Row)
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def heard(sim: Launched, row: Row, ros_context: Any) -> Iterator[Heard]:
+    """What the consumer of a row hears."""
+    client = Listener(ros_context)
+    yield hear(client, row, ENOUGH)
+    client.close()
+
+
+@pytest.fixture
+def control(sim: Launched, listener: Listener) -> Iterator[Control]:
+    """The services of the simulation; afterwards it plays again."""
+    services = Control(listener)
+    yield services
+    services.play()
+
+
+PAIRS = [
+    pytest.param(speed, row, id=f"{_name(speed)}-{row.topic}-{row.who}".replace(" ", "_"))
+    for speed in SPEEDS
+    for row in STREAMS
+    if speed in DRAWN or not row.rendered
+]
+every_stream = pytest.mark.parametrize(("sim", "row"), PAIRS, indirect=True, scope="module")
+every_latched = pytest.mark.parametrize("wanted", LATCHED_ROWS, ids=lambda row: row.topic)
+
+
+@every_stream
+def test_consumer_receives_with_its_own_quality_of_service(heard: Heard) -> None:
+    assert len(heard.messages) >= ENOUGH
+
+
+@every_stream
+def test_topic_has_one_type_and_it_is_the_expected_one(heard: Heard, listener: Listener) -> None:
+    types = dict(listener.node.get_topic_names_and_types())
+    assert types[heard.row.name] == [heard.row.type_name]
+
+
+@every_stream
+def test_topic_has_one_publisher(heard: Heard, listener: Listener) -> None:
+    assert listener.node.count_publishers(heard.row.name) == 1
+
+
+@every_stream
+def test_stamps_come_at_the_steps_at_which_the_rate_is_due(heard: Heard) -> None:
+    steps = steps_of(heard.messages)
+    # Best-effort readers lose messages on a busy machine: some may be missing, but none may lie in between.
+    assert set(steps) <= heard.row.due_steps(steps[-1])
+    assert np.median(np.diff(steps)) == pytest.approx(240 / heard.row.rate_hz, abs=1.0)
+
+
+@every_stream
+def test_frames_are_those_of_the_conventions(heard: Heard) -> None:
+    parts = [m.transforms[0] if isinstance(m, TFMessage) else m for m in heard.messages]
+    assert {m.header.frame_id for m in parts} == {heard.row.frame}
+    if heard.row.child:
+        assert {m.child_frame_id for m in parts} == {heard.row.child}
+
+
+@every_stream
+def test_no_message_is_sent_before_the_clock_of_its_stamp(heard: Heard) -> None:
+    clock = {step_of(stamp): sent for stamp, sent in heard.clock.items()}
+    assert _sent_too_late(heard, clock, reach=3) == []
+
+
+PLACED = [pair for pair in PAIRS if pair.values[1].placed]
+
+
+@pytest.mark.parametrize(("sim", "row"), PLACED, indirect=True, scope="module")
+def test_no_message_is_sent_before_the_transform_of_its_stamp(heard: Heard) -> None:
+    transforms = {step_of(stamp): sent for stamp, sent in heard.transforms.items()}
+    assert _sent_too_late(heard, transforms, reach=TICK) == []
+
+
+def _sent_too_late(heard: Heard, others: dict[int, int], reach: int) -> list[str]:
+    """Returns what is wrong with messages of another topic that should be there, by step, before those that were heard.
+
+    A busy machine may lose some of the other topic: then those within ``reach`` steps, of which there must be some, are missing too.
+    """
+    wrong, judged = [], 0
+    for step, sent in zip(steps_of(heard.messages), heard.sent_ns, strict=True):
+        near = [any(step + sign * i in others for i in range(1, reach + 1)) for sign in (-1, 1)]
+        judged += step in others or all(near)
+        if step in others and others[step] > sent:
+            wrong.append(f"step {step}: {(others[step] - sent) / 1e6:.3f} ms later")
+        elif step not in others and all(near):
+            wrong.append(f"step {step}: never")
+    assert judged, "nothing of the other topic was received near any of the messages"
+    return wrong
+
+
+IMUS = [pair for pair in PAIRS if pair.values[1].topic == "imu"]
+
+
+@pytest.mark.parametrize(("sim", "row"), IMUS, indirect=True, scope="module")
+def test_imu_lies_between_two_transforms_of_neighbouring_ticks(heard: Heard) -> None:
+    ticks = sorted(map(step_of, heard.transforms))
+    bracketed = [step for step in steps_of(heard.messages) if step - step % TICK in ticks and step + (-step) % TICK in ticks]
+    # Those outside were sent before transforms were heard, or on a machine so busy that it lost some.
+    assert len(bracketed) >= ENOUGH // 2
+
+
+@every_latched
+def test_late_joiner_gets_what_is_latched(sim: Launched, listener: Listener, wanted: Row) -> None:
+    messages = listener.collect(wanted.kind, wanted.topic, wanted.qos)
+    listener.spin_until(lambda: bool(messages), f"{wanted.topic} for {wanted.who}")
+    assert dict(listener.node.get_topic_names_and_types())[wanted.name] == [wanted.type_name]
+    if wanted.frame:
+        assert messages[0].header.frame_id == wanted.frame
+
+
+def test_clock_rises_for_a_best_effort_reader_that_keeps_one(sim: Launched, listener: Listener) -> None:
+    clock = listener.collect(Clock, "/clock", CLOCK)
+    listener.spin_until(lambda: len(clock) > 30, "time")
+    steps = steps_of(clock)
+    assert steps == sorted(set(steps))
+
+
+def test_velocity_can_be_sent_as_either_type(sim: Launched, listener: Listener) -> None:
+    def types() -> set[str]:
+        return set(dict(listener.node.get_topic_names_and_types()).get("/cmd_vel", []))
+
+    listener.spin_until(lambda: types() == {"geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"}, "both types of cmd_vel")
+
+
+def test_scan_is_that_of_the_lds(sim: Launched, listener: Listener) -> None:
+    scans = listener.collect(LaserScan, "scan")
+    listener.spin_until(lambda: bool(scans), "a scan")
+    scan = scans[0]
+    assert len(scan.ranges) == 360
+    assert scan.angle_min == 0.0
+    assert scan.angle_increment == pytest.approx(2 * math.pi / 360)
+    assert scan.angle_max == pytest.approx(2 * math.pi * 359 / 360)
+    assert (scan.range_min, scan.range_max) == (pytest.approx(0.12), pytest.approx(12.0))
+    assert (scan.time_increment, scan.scan_time) == (0.0, pytest.approx(0.1)), "all rays are cast at the stamp"
+    assert not np.isnan(scan.ranges).any()
+
+
+def _velocity(a: Odometry, b: Odometry) -> NDArray[np.float64]:
+    """Returns the mean velocity between two odometries, (2,), m/s, in the odometry's frame."""
+    moved = np.array([b.pose.pose.position.x - a.pose.pose.position.x, b.pose.pose.position.y - a.pose.pose.position.y])
+    return moved * 1e9 / (stamp_ns(b) - stamp_ns(a))
+
+
+def _yaw(message: Odometry) -> float:
+    q = message.pose.pose.orientation
+    return 2 * math.atan2(q.z, q.w)
+
+
+@pytest.mark.parametrize("topic", ["odom", "ground_truth/odom"])
+def test_twist_of_odometry_is_in_the_child_frame(sim: Launched, listener: Listener, control: Control, topic: str) -> None:
+    control.reset(ResetSimulation.Request.SCOPE_STATE)
+    odometry = listener.collect(Odometry, topic, DEEP)
+    listener.spin_until(lambda: bool(odometry), topic)
+
+    def moves_along_y(i: int) -> bool:
+        return abs(_yaw(odometry[i]) - math.pi / 2) < 0.2 and odometry[i].twist.twist.linear.x > 0.1
+
+    drive_until(listener, "cmd_vel", 0.2, 0.5, lambda: len(odometry) > 4 and moves_along_y(-3), "a robot that moves along y")
+    at = next(i for i in range(2, len(odometry)) if moves_along_y(i))
+    now, moved = odometry[at], _velocity(odometry[at - 2], odometry[at + 2])
+    assert abs(moved[1]) > 3 * abs(moved[0]), "it moves along y of the odometry's frame"
+    yaw, twist = _yaw(now), now.twist.twist
+    ahead, left = moved @ [math.cos(yaw), math.sin(yaw)], moved @ [-math.sin(yaw), math.cos(yaw)]
+    assert (twist.linear.x, twist.linear.y) == (pytest.approx(ahead, abs=0.02), pytest.approx(left, abs=0.02))
+
+
+def _cells(grid: OccupancyGrid) -> NDArray[np.int8]:
+    info: MapMetaData = grid.info
+    return np.array(grid.data, dtype=np.int8).reshape(info.height, info.width)
+
+
+def _row_column(grid: OccupancyGrid, points: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Returns rows and columns, (N, 2), of points (N, 2) in the map frame."""
+    origin = np.array([grid.info.origin.position.x, grid.info.origin.position.y])
+    return np.floor((points - origin) / grid.info.resolution).astype(np.int64)[:, ::-1]
+
+
+def test_map_is_free_where_the_robot_starts(sim: Launched, listener: Listener) -> None:
+    maps = listener.collect(OccupancyGrid, "map", LATCHED)
+    listener.spin_until(lambda: bool(maps), "the map")
+    grid = maps[0]
+    assert grid.info.resolution == pytest.approx(0.05)
+    ((r, c),) = _row_column(grid, np.array([START]))
+    assert (_cells(grid)[r - 1 : r + 2, c - 1 : c + 2] == 0).all()
+
+
+def _base_from(static: TFMessage, frame: str) -> NDArray[np.float64]:
+    """Returns T_base_frame, (4, 4), along the fixed transforms."""
+    by_child = {t.child_frame_id: t for t in static.transforms}
+    matrix = np.eye(4)
+    while frame != "base_footprint":
+        part = by_child[frame].transform
+        step = np.eye(4)
+        q, p = part.rotation, part.translation
+        x, y, z, w = q.x, q.y, q.z, q.w
+        step[:3, :3] = [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+        step[:3, 3] = p.x, p.y, p.z
+        matrix, frame = step @ matrix, by_child[frame].header.frame_id
+    return matrix
+
+
+def test_walls_of_the_map_are_where_the_scan_hits(sim: Launched, listener: Listener) -> None:
+    maps = listener.collect(OccupancyGrid, "map", LATCHED)
+    statics = listener.collect(TFMessage, "/tf_static", LATCHED)
+    scans, truth = listener.collect(LaserScan, "scan", DEEP), listener.collect(Odometry, "ground_truth/odom", DEEP)
+
+    def poses() -> dict[int, Odometry]:
+        return {stamp_ns(t): t for t in truth}
+
+    listener.spin_until(lambda: bool(maps and statics) and any(stamp_ns(s) in poses() for s in scans), "map, scan and pose")
+    scan = next(s for s in scans if stamp_ns(s) in poses())
+    T_map_base = matrix_from_pose(pose_from_msg(poses()[stamp_ns(scan)].pose.pose))
+    ranges = np.array(scan.ranges)
+    angles = scan.angle_min + np.arange(len(ranges)) * scan.angle_increment
+    hit = np.isfinite(ranges)
+    points = np.stack([ranges * np.cos(angles), ranges * np.sin(angles), 0 * ranges, 1 + 0 * ranges], axis=-1)[hit]
+    in_map = (points @ (T_map_base @ _base_from(statics[0], "base_scan")).T)[:, :2]
+    occupied = np.argwhere(_cells(maps[0]) > 50)
+    distance = np.abs(_row_column(maps[0], in_map)[:, None, :] - occupied[None]).max(axis=-1).min(axis=1)
+    assert hit.sum() > 300, "inside a flat nearly every ray meets something"
+    assert (distance <= 2).mean() >= 0.95
+
+
+def test_localiser_alone_connects_map_and_odom(sim: Launched, listener: Listener) -> None:
+    moving, static = listener.collect(TFMessage, "/tf", DEEP), listener.collect(TFMessage, "/tf_static", LATCHED)
+    listener.spin_until(lambda: len(moving) > 3 and bool(static), "transforms")
+    assert not [t for m in (*moving, *static) for t in m.transforms if t.header.frame_id == "map" or t.child_frame_id == "odom"]
+
+
+def _streams(listener: Listener, drawn: bool) -> dict[str, list[Any]]:
+    """Returns everything that has stamps, as lists that fill."""
+    rows = {row.topic: row for row in STREAMS if drawn or not row.rendered}
+    # A cloud takes longer to receive than all the rest.
+    streams = {name: listener.collect(row.kind, name, DEEP) for name, row in rows.items() if row.kind is not PointCloud2}
+    streams["/clock"] = listener.collect(Clock, "/clock", DEEP)
+    listener.spin_until(lambda: all(streams.values()), "a message on every topic")
+    return streams
+
+
+def _is_drawn(sim: Launched) -> bool:
+    return any("triangles" in line for line in sim.lines)
+
+
+def test_nothing_is_published_while_time_stands_still(sim: Launched, listener: Listener, control: Control) -> None:
+    streams = _streams(listener, _is_drawn(sim))
+    reports = listener.collect(DiagnosticArray, "/diagnostics")
+    control.pause()
+    # Diagnostics come by wall time: what was under way has arrived with the first, and a second passes until the others.
+    for _ in range(2):
+        for messages in (reports, *streams.values()):
+            messages.clear()
+        listener.spin_until(lambda: len(reports) > 2, "diagnostics of a paused simulation")
+    assert {name: len(messages) for name, messages in streams.items() if messages} == {}
+
+
+def test_paused_simulation_says_so(sim: Launched, control: Control) -> None:
+    control.pause()
+    assert control.state == SimulationState.STATE_PAUSED
+
+
+@pytest.mark.parametrize("steps", [1, 7, 24])
+def test_step_makes_so_many_physics_steps_and_everything_that_is_due_in_them(
+    sim: Launched, listener: Listener, control: Control, steps: int
+) -> None:
+    control.pause()
+    clock, odometry = listener.collect(Clock, "/clock", DEEP), listener.collect(Odometry, "odom", DEEP)
+    scans = listener.collect(LaserScan, "scan", DEEP)
+    publishers = ("/clock", "/odom", "/scan")
+    listener.spin_until(lambda: all(listener.node.count_publishers(topic) for topic in publishers), "publishers")
+    # The first steps are for the readers to be found by; they end where a scan has just been made.
+    listener.spin_until(lambda: control.step(4) or bool(odometry and clock), "answers to steps")
+    listener.spin_until(lambda: control.step(24) or bool(scans), "a scan")
+    start = _settled(listener, control, clock)
+    control.step(steps)
+    listener.spin_until(lambda: step_of(stamp_ns(clock[-1])) >= start + steps, "time")
+    assert _settled(listener, control, clock) == start + steps
+    assert [s for s in steps_of(odometry) if s > start] == [s for s in range(start + 1, start + steps + 1) if s % 4 == 0]
+    assert [s for s in steps_of(scans) if s > start] == [s for s in range(start + 1, start + steps + 1) if s % 24 == 0]
+
+
+def _settled(listener: Listener, control: Control, clock: list[Any]) -> int:
+    """Returns the step of a paused simulation: what its clock says when it says nothing more."""
+    reports = listener.collect(DiagnosticArray, "/diagnostics")
+    listener.spin_until(lambda: bool(reports), "diagnostics")
+    return step_of(stamp_ns(clock[-1]))
+
+
+def test_reset_begins_time_again_and_counts_an_epoch(sim: Launched, listener: Listener, control: Control) -> None:
+    epochs = listener.collect(Epoch, "simulation_epoch", LATCHED)
+    streams = _streams(listener, _is_drawn(sim))
+    listener.spin_until(lambda: bool(epochs), "the epoch")
+    before = epochs[-1].epoch
+    control.pause()
+    reports = listener.collect(DiagnosticArray, "/diagnostics")
+    listener.spin_until(lambda: len(reports) > 1, "the last of the old epoch")
+    for messages in streams.values():
+        messages.clear()
+    control.reset()
+    listener.spin_until(lambda: epochs[-1].epoch > before, "another epoch")
+    assert (epochs[-1].epoch, epochs[-1].time_rewound, stamp_ns(epochs[-1])) == (before + 1, True, 0)
+    control.play()
+    listener.spin_until(lambda: all(streams.values()), "a message on every topic after the reset")
+    # Images may be skipped on a slow machine; of the rest, a deep queue loses none.
+    rows = {row.topic: row for row in STREAMS if not row.rendered}
+    first = {name: steps_of(messages)[0] for name, messages in streams.items() if name in rows}
+    assert first == {name: min(row.due_steps(240)) for name, row in rows.items()}
+    assert all(a < b for messages in streams.values() for a, b in zip(steps_of(messages), steps_of(messages)[1:], strict=False))
+
+
+def test_reset_puts_the_robot_back(sim: Launched, listener: Listener, control: Control) -> None:
+    truth = listener.collect(Odometry, "ground_truth/odom", DEEP)
+    listener.spin_until(lambda: bool(truth), "ground truth")
+    drive_until(listener, "cmd_vel", 0.0, 1.0, lambda: abs(_yaw(truth[-1])) > 0.5, "a turned robot")
+    control.pause()
+    control.reset()
+    control.step(TICK)
+
+    def first() -> list[Odometry]:
+        return [message for message in truth if step_of(stamp_ns(message)) == TICK]
+
+    listener.spin_until(lambda: bool(first()), "ground truth after the reset")
+    position = first()[0].pose.pose.position
+    assert (position.x, position.y) == (pytest.approx(START[0], abs=0.001), pytest.approx(START[1], abs=0.001))
+    assert _yaw(first()[0]) == pytest.approx(0.0, abs=0.001)
+
+
+@_options("--reset-time", "monotonic", "--no-render")
+def test_monotonic_reset_never_turns_time_back(sim: Launched, listener: Listener, control: Control) -> None:
+    streams, epochs = _streams(listener, drawn=False), listener.collect(Epoch, "simulation_epoch", LATCHED)
+    listener.spin_until(lambda: bool(epochs) and step_of(stamp_ns(streams["/clock"][-1])) > 240, "a second")
+    control.reset()
+    listener.spin_until(lambda: epochs[-1].epoch == 1, "another epoch")
+    counts = {name: len(messages) for name, messages in streams.items()}
+    listener.spin_until(lambda: all(len(m) > counts[name] + 2 for name, m in streams.items()), "messages after the reset")
+    assert not epochs[-1].time_rewound
+    assert stamp_ns(epochs[-1]) > 10**9
+    for name, messages in streams.items():
+        steps = steps_of(messages)
+        assert steps == sorted(set(steps)), name
+
+
+@_options("--publish-map-tf", "--no-render")
+def test_our_map_gives_way_to_that_of_another_node(sim: Launched, listener: Listener) -> None:
+    maps = listener.collect(OccupancyGrid, "map", LATCHED)
+    listener.spin_until(lambda: bool(maps), "our map")
+    publisher = listener.node.create_publisher(OccupancyGrid, "map", LATCHED)
+    listener.spin_until(lambda: listener.node.count_publishers("map") == 2, "both maps")
+    listener.spin_until(lambda: listener.node.count_publishers("map") == 1, "a map that gives way")
+    sim.wait_for_line("ours is withdrawn")
+    listener.node.destroy_publisher(publisher)
+
+
+@_options("--publish-map-tf", "--no-render")
+def test_perfect_localiser_is_there_for_who_asks(sim: Launched, listener: Listener) -> None:
+    moving = listener.collect(TFMessage, "/tf", DEEP)
+    listener.spin_until(lambda: bool(moving), "transforms")
+    (found,) = [t for t in moving[0].transforms if t.child_frame_id == "odom"]
+    assert found.header.frame_id == "map"
+    place = found.transform.translation
+    assert (place.x, place.y) == (pytest.approx(START[0], abs=0.01), pytest.approx(START[1], abs=0.01))

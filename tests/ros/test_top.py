@@ -1,0 +1,70 @@
+"""``gibson-sim top`` beside nodes that report, and alone."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from support.simulation import Listener, require
+
+require("rclpy", "gibson_msgs")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+
+@pytest.fixture
+def reporting(listener: Listener) -> Iterator[None]:
+    """A simulation as top sees it: a clock that goes at a fiftieth of wall time, and one status."""
+    clock = listener.node.create_publisher(Clock, "/clock", 10)
+    diagnostics = listener.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    status = DiagnosticStatus(level=DiagnosticStatus.WARN, name="test: a node", message="is tired")
+    status.values = [KeyValue(key="late_ticks", value="17")]
+    end = threading.Event()
+
+    def publish() -> None:
+        stamp = Clock()
+        while not end.wait(0.02):
+            stamp.clock.nanosec += 400_000
+            clock.publish(stamp)
+            diagnostics.publish(DiagnosticArray(status=[status]))
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    yield
+    end.set()
+    thread.join()
+
+
+def _top(*argv: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "gibson_sim.cli.main", "top", *argv]
+    return subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
+
+
+def test_one_table_shows_what_every_node_reported_and_has_no_escapes_in_a_pipe(reporting: None) -> None:
+    done = _top("--once")
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert "simulation time 0." in lines[0]
+    assert lines[2:4] == ["test: a node  WARN  is tired", "  late_ticks 17"]
+    assert "\x1b" not in done.stdout
+
+
+def test_topics_are_listed_with_their_types(reporting: None) -> None:
+    rows = {line.split()[0]: line.split() for line in _top("--once", "--topics").stdout.splitlines() if line.startswith("/")}
+    assert rows["/clock"][-1] == "rosgraph_msgs/msg/Clock"
+    assert float(rows["/diagnostics"][1]) > 0.0
+
+
+def test_where_no_simulation_runs_it_says_so_and_exits_with_three(ros_domain: int) -> None:
+    done = _top("--once")
+    assert done.returncode == 3
+    assert done.stderr.count("\n") == 1
+    assert f"no simulation runs in ROS domain {ros_domain}" in done.stderr
+    assert done.stdout == ""

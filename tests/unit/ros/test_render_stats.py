@@ -1,0 +1,56 @@
+"""What a render node counts, by hand: a camera of 10 Hz."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gibson_sim.ros.render_stats import RenderStats
+from gibson_sim.types import CameraSpec, Frame
+
+CAMERA = CameraSpec("eye", "", rate_hz=10.0, outputs=("rgb", "depth"))
+TENTH_NS = 100_000_000
+
+
+def _draw(stats: RenderStats, tick: int) -> None:
+    stats.count_due(CAMERA, tick * TENTH_NS, wanted=True)
+    stats.add(0, 2_000_000, 5_000_000, [Frame(CAMERA, tick * TENTH_NS, np.eye(4))], ["eye/rgb"])
+
+
+def test_images_that_were_due_in_between_are_skipped() -> None:
+    stats = RenderStats()
+    for tick in (1, 2, 5, 6):
+        _draw(stats, tick)
+    assert stats.skipped == 2
+
+
+def test_images_in_a_time_when_nobody_listened_are_not_skipped() -> None:
+    stats = RenderStats()
+    _draw(stats, 1)
+    stats.count_due(CAMERA, 2 * TENTH_NS, wanted=False)
+    _draw(stats, 40)
+    assert stats.skipped == 0
+
+
+def test_a_jump_back_is_neither_skipped_nor_simulated_time() -> None:
+    stats = RenderStats()
+    for tick in (100, 101, 102, 1, 2, 3):
+        _draw(stats, tick)
+    assert stats.skipped == 0
+    # Six images; 0.2 s before and 0.2 s after the jump.
+    assert stats.summary()["images_per_simulated_s"]["eye"] == pytest.approx(5 / 0.4)
+
+
+def test_a_summary_counts_images_outputs_and_messages() -> None:
+    stats = RenderStats()
+    for tick in (1, 2, 3):
+        _draw(stats, tick)
+    summary = stats.summary()
+    assert summary["images"] == {"eye": 3}
+    assert summary["outputs"] == {"eye/rgb": 3, "eye/depth": 3}
+    assert summary["messages"] == {"eye/rgb": 3}
+    assert (summary["draw_ms_median"], summary["publish_ms_median"]) == (2.0, 3.0)
+
+
+def test_a_summary_before_the_first_image_is_empty() -> None:
+    assert RenderStats().summary()["images"] == {}

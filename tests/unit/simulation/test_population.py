@@ -1,0 +1,273 @@
+"""Entities of a world: looking, moving, spawning, deleting. The yard: crate at x = 1 m, wall (static) at 3 m, anna at 5 m."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gibson_sim.simulation.bounds import Bounds, BoundsType
+from gibson_sim.simulation.codes import EntityStateCode, Result, SimulationError, SpawnCode
+from gibson_sim.simulation.entities import Category, EntityInfo
+from gibson_sim.simulation.filters import EntityFilters, TagsFilter
+from gibson_sim.simulation.population import Population, SpawnRequest, StateChange
+from gibson_sim.simulation.simulator import Simulator
+from gibson_sim.types import Quat, Vec3
+from support.yard import BALL
+
+QUARTER: Quat = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
+"""90 degrees to the left."""
+
+
+@pytest.fixture
+def people(make: Callable[..., Simulator]) -> Population:
+    return make().population
+
+
+def code_of(error: pytest.ExceptionInfo[SimulationError]) -> object:
+    assert "\n" not in str(error.value)
+    return error.value.code
+
+
+@pytest.mark.parametrize(
+    ("filters", "names"),
+    [
+        (EntityFilters(), ["crate", "wall", "anna"]),
+        (EntityFilters("^(crate|anna)$"), ["crate", "anna"]),
+        (EntityFilters("a"), ["crate", "wall", "anna"]),
+        (EntityFilters(categories=(Category.STATIC_OBJECT, Category.HUMAN)), ["wall", "anna"]),
+        (EntityFilters(tags=TagsFilter(("person", "wall"))), ["wall", "anna"]),
+        (EntityFilters(tags=TagsFilter(("person", "wall"), 1)), []),
+        # The crate reaches to x = 1.1 m, the wall begins at 2.9 m.
+        (EntityFilters(bounds=Bounds(BoundsType.SPHERE, ((2.0, 0.0, 0.1), (0.91, 0.0, 0.0)))), ["crate", "wall"]),
+        (EntityFilters(bounds=Bounds(BoundsType.BOX, ((2.91, 1.0, 1.0), (1.2, -1.0, 0.0)))), ["wall"]),
+        (EntityFilters("l$", (Category.STATIC_OBJECT,), TagsFilter(("wall",)), Bounds(BoundsType.EMPTY)), ["wall"]),
+        (EntityFilters("l$", (Category.ROBOT,)), []),
+    ],
+)
+def test_entity_must_pass_every_filter(people: Population, filters: EntityFilters, names: list[str]) -> None:
+    assert [entity.name for entity in people.matching(filters)] == names
+
+
+@pytest.mark.parametrize("filters", [EntityFilters("("), EntityFilters(tags=TagsFilter((), 2))])
+def test_impossible_filter_is_refused(people: Population, filters: EntityFilters) -> None:
+    with pytest.raises(SimulationError) as error:
+        people.matching(filters)
+    assert code_of(error) is Result.OPERATION_FAILED
+
+
+def test_unknown_entity_is_not_found_and_the_known_ones_are_named(people: Population) -> None:
+    for ask in (
+        people.entity,
+        people.state,
+        people.bounds,
+        people.delete,
+        lambda name: people.set_info(name, EntityInfo()),
+        lambda name: people.set_state(name, StateChange()),
+    ):
+        with pytest.raises(SimulationError, match="crate, wall, anna") as error:
+            ask("nobody")
+        assert code_of(error) is Result.NOT_FOUND
+
+
+def test_info_is_what_was_set(people: Population) -> None:
+    info = EntityInfo(Category.OBJECT, "for the move", ("wood", "empty"))
+    people.set_info("crate", info)
+    assert people.entity("crate").info == info
+    assert [e.name for e in people.matching(EntityFilters(tags=TagsFilter(("wood", "empty"), 1)))] == ["crate"]
+
+
+def test_moved_entity_is_where_it_was_put_and_moves_as_told(people: Population) -> None:
+    people.set_state("crate", StateChange("", (4.0, 5.0, 6.0), QUARTER, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6)))
+    state = people.state("crate")
+    assert state.pose.position == pytest.approx((4.0, 5.0, 6.0))
+    assert state.pose.quat_xyzw == pytest.approx(QUARTER)
+    assert (*state.linear, *state.angular) == pytest.approx((0.1, 0.2, 0.3, 0.4, 0.5, 0.6))
+
+
+def test_only_what_is_to_be_set_changes(people: Population) -> None:
+    people.set_state("crate", StateChange(linear=(1.0, 0.0, 0.0), set_pose=False))
+    people.set_state("crate", StateChange("", (0.0, 7.0, 1.0), set_twist=False))
+    assert people.state("crate").pose.position == pytest.approx((0.0, 7.0, 1.0))
+    assert people.state("crate").linear == pytest.approx((1.0, 0.0, 0.0))
+
+
+def test_state_in_the_frame_of_another_entity(people: Population) -> None:
+    # anna at (5, 0, 0.1) looks along +y: what is 2 m ahead of her and moves ahead is at (5, 2) and moves along +y.
+    people.set_state("anna", StateChange("world", (5.0, 0.0, 0.1), QUARTER))
+    people.set_state("crate", StateChange("anna", (2.0, 0.0, 0.0), linear=(1.0, 0.0, 0.0), angular=(0.0, 1.0, 0.0)))
+    state = people.state("crate")
+    assert state.pose.position == pytest.approx((5.0, 2.0, 0.1))
+    assert state.pose.quat_xyzw == pytest.approx(QUARTER)
+    assert state.linear == pytest.approx((0.0, 1.0, 0.0), abs=1e-12)
+    assert state.angular == pytest.approx((-1.0, 0.0, 0.0), abs=1e-12)
+
+
+def test_entity_at_rest_in_a_frame_that_turns_is_taken_along(people: Population) -> None:
+    people.set_state("anna", StateChange("", (0.0, 0.0, 5.0), linear=(0.5, 0.0, 0.0), angular=(0.0, 0.0, 2.0)))
+    people.set_state("crate", StateChange("anna", (3.0, 0.0, 0.0)))
+    state = people.state("crate")
+    # 0.5 m/s along x, and 2 rad/s on an arm of 3 m along x: 6 m/s along y.
+    assert state.linear == pytest.approx((0.5, 6.0, 0.0))
+    assert state.angular == pytest.approx((0.0, 0.0, 2.0))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        StateChange(position=(math.nan, 0.0, 0.0)),
+        StateChange(position=(0.0, math.inf, 0.0)),
+        StateChange(position=(0.0, 0.0, 10_001.0)),
+        StateChange(quat_xyzw=(0.0, 0.0, 0.0, 0.5)),
+        StateChange(quat_xyzw=(0.0, 0.0, 0.0, math.nan)),
+        StateChange("moon"),
+        StateChange("../anna"),
+    ],
+)
+def test_pose_that_is_none_is_refused_and_nothing_moves(people: Population, change: StateChange) -> None:
+    before = people.state("crate")
+    with pytest.raises(SimulationError) as error:
+        people.set_state("crate", change)
+    assert code_of(error) is EntityStateCode.INVALID_POSE
+    assert people.state("crate") == before
+
+
+def test_frame_cannot_be_used_to_leave_the_world(people: Population) -> None:
+    people.set_state("anna", StateChange(position=(9_000.0, 0.0, 0.1)))
+    with pytest.raises(SimulationError, match="too far away") as error:
+        people.set_state("crate", StateChange("anna", (2_000.0, 0.0, 0.0)))
+    assert code_of(error) is EntityStateCode.INVALID_POSE
+
+
+def test_rounded_quaternion_is_normalised_and_one_of_zeros_is_no_rotation(people: Population) -> None:
+    people.set_state("wall", StateChange(position=(3.0, 0.0, 0.1), quat_xyzw=(0.0, 0.0, 0.71, 0.71)))
+    assert people.state("wall").pose.quat_xyzw == pytest.approx(QUARTER)
+    people.set_state("wall", StateChange(position=(3.0, 0.0, 0.1), quat_xyzw=(0.0, 0.0, 0.0, 0.0)))
+    assert people.state("wall").pose.quat_xyzw == pytest.approx((0.0, 0.0, 0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [StateChange(linear=(0.1, 0.0, 0.0)), StateChange(angular=(0.0, 0.0, 0.1)), StateChange(acceleration=(0.0,) * 5 + (1.0,))],
+)
+def test_static_entity_takes_no_twist_and_no_acceleration(people: Population, change: StateChange) -> None:
+    with pytest.raises(SimulationError, match="static") as error:
+        people.set_state("wall", change)
+    assert code_of(error) is Result.OPERATION_FAILED
+
+
+@pytest.mark.parametrize("linear", [(math.nan, 0.0, 0.0), (0.0, -math.inf, 0.0), (0.0, 0.0, 1001.0)])
+def test_impossible_velocity_is_refused(people: Population, linear: Vec3) -> None:
+    with pytest.raises(SimulationError) as error:
+        people.set_state("crate", StateChange(linear=linear))
+    assert code_of(error) is Result.OPERATION_FAILED
+
+
+def test_bounds_are_a_box_in_the_entitys_own_frame_however_it_is_turned(people: Population) -> None:
+    eighth = (0.0, 0.0, math.sin(math.pi / 8), math.cos(math.pi / 8))
+    people.set_state("wall", StateChange(position=(3.0, 4.0, 0.1), quat_xyzw=eighth))
+    bounds = people.bounds("wall")
+    assert bounds.kind is BoundsType.BOX
+    assert np.array(bounds.points) == pytest.approx(np.array([[0.1, 0.1, 0.1], [-0.1, -0.1, -0.1]]))
+
+
+def test_spawned_text_is_an_entity_under_the_name_in_it(people: Population) -> None:
+    assert people.spawn(SpawnRequest(text=BALL, position=(0.0, 9.0, 1.0))) == "ball"
+    assert people.names == ("crate", "wall", "anna", "ball")
+    assert people.state("ball").pose.position == pytest.approx((0.0, 9.0, 1.0))
+    entity = people.entity("ball")
+    assert entity.spawned
+    assert entity.info.category is Category.DYNAMIC_OBJECT
+
+
+def test_spawned_file_is_an_entity(people: Population, tmp_path: Path) -> None:
+    (tmp_path / "ball.urdf").write_text(BALL)
+    assert people.spawn(SpawnRequest("red", uri=str(tmp_path / "ball.urdf"), text="not read")) == "red"
+    assert people.spawn(SpawnRequest("blue", uri=(tmp_path / "ball.urdf").as_uri())) == "blue"
+
+
+def test_spawn_pose_may_be_relative_to_an_entity(people: Population) -> None:
+    people.set_state("anna", StateChange("", (5.0, 0.0, 0.1), QUARTER))
+    people.spawn(SpawnRequest(text=BALL, frame_id="anna", position=(1.0, 0.0, 0.5)))
+    assert people.state("ball").pose.position == pytest.approx((5.0, 1.0, 0.6))
+
+
+@pytest.mark.parametrize(
+    ("request_", "code"),
+    [
+        (SpawnRequest("crate", text=BALL), SpawnCode.NAME_NOT_UNIQUE),
+        (SpawnRequest("a/b", text=BALL), SpawnCode.NAME_INVALID),
+        (SpawnRequest(text='<robot name=""><link name="a"/></robot>'), SpawnCode.NAME_INVALID),
+        (SpawnRequest("x", text="hello"), SpawnCode.UNSUPPORTED_FORMAT),
+        (SpawnRequest("x"), SpawnCode.NO_RESOURCE),
+        (SpawnRequest("x", uri="  ", text="\n"), SpawnCode.NO_RESOURCE),
+        (SpawnRequest("x", text=BALL, namespace="a b"), SpawnCode.NAMESPACE_INVALID),
+        (SpawnRequest("x", text=BALL[:200]), SpawnCode.RESOURCE_PARSE_ERROR),
+        (SpawnRequest("x", text=BALL.replace('<sphere radius="0.1"/>', "<mesh filename='no.stl'/>")), SpawnCode.MISSING_ASSETS),
+        (SpawnRequest("x", text=BALL, position=(math.nan, 0.0, 0.0)), SpawnCode.INVALID_POSE),
+        (SpawnRequest("x", text=BALL, position=(1e5, 0.0, 0.0)), SpawnCode.INVALID_POSE),
+        (SpawnRequest("x", text=BALL, quat_xyzw=(1.0, 1.0, 0.0, 0.0)), SpawnCode.INVALID_POSE),
+        (SpawnRequest("x", text=BALL, frame_id="odom"), SpawnCode.INVALID_POSE),
+    ],
+)
+def test_what_cannot_be_spawned_is_refused_and_leaves_nothing(
+    people: Population, request_: SpawnRequest, code: SpawnCode
+) -> None:
+    with pytest.raises(SimulationError) as error:
+        people.spawn(request_)
+    assert code_of(error) is code
+    assert people.names == ("crate", "wall", "anna")
+
+
+def test_unsupported_asset_is_told_from_a_missing_one(people: Population, tmp_path: Path) -> None:
+    (tmp_path / "ball.fbx").write_bytes(b"not for us")
+    (tmp_path / "ball.urdf").write_text(BALL.replace('<sphere radius="0.1"/>', '<mesh filename="ball.fbx"/>'))
+    with pytest.raises(SimulationError) as error:
+        people.spawn(SpawnRequest(uri=str(tmp_path / "ball.urdf")))
+    assert code_of(error) is SpawnCode.UNSUPPORTED_ASSETS
+
+
+def test_taken_name_gets_a_number_where_renaming_is_allowed(people: Population) -> None:
+    names = [people.spawn(SpawnRequest(text=BALL, allow_renaming=True, position=(0.0, i, 1.0))) for i in range(3)]
+    assert names == ["ball", "ball_2", "ball_3"]
+
+
+def test_full_world_refuses_more(make: Callable[..., Simulator]) -> None:
+    world = make().world
+    assert world is not None
+    people = Population(world, most=4)
+    people.spawn(SpawnRequest(text=BALL))
+    outcomes = people.spawn_all([SpawnRequest(text=BALL, allow_renaming=True)] * 3)
+    assert {outcome.error.code for outcome in outcomes if outcome.error} == {Result.OPERATION_FAILED}
+    assert len(people.names) == 4
+    people.delete("crate")
+    assert people.spawn(SpawnRequest("again", text=BALL)) == "again"
+
+
+def test_what_can_be_spawned_stays_where_others_fail(people: Population) -> None:
+    outcomes = people.spawn_all([SpawnRequest(text=BALL), SpawnRequest(text="?", name="bad"), SpawnRequest("ball2", text=BALL)])
+    assert [(o.name, o.error is None) for o in outcomes] == [("ball", True), ("", False), ("ball2", True)]
+    assert people.names == ("crate", "wall", "anna", "ball", "ball2")
+
+
+def test_robots_do_not_share_a_namespace(people: Population) -> None:
+    def namespace(name: str) -> str:
+        return people.entity(name).namespace
+
+    people.spawn(SpawnRequest("one", uri="gibson_bot"))
+    people.spawn(SpawnRequest("two", uri="gibson_bot", position=(0.0, 2.0, 0.0)))
+    people.spawn(SpawnRequest("three", uri="gibson_bot", namespace="/fleet/three", position=(0.0, 4.0, 0.0)))
+    assert [namespace(name) for name in ("one", "two", "three")] == ["", "two", "fleet/three"]
+    with pytest.raises(SimulationError, match="'three'") as error:
+        people.spawn(SpawnRequest("four", uri="gibson_bot", namespace="fleet/three"))
+    assert code_of(error) is SpawnCode.NAMESPACE_INVALID
+
+
+def test_deleted_entity_is_gone(people: Population) -> None:
+    people.delete("crate")
+    assert people.names == ("wall", "anna")
+    with pytest.raises(SimulationError):
+        people.state("crate")

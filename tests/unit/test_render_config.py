@@ -1,0 +1,27 @@
+"""Settings of the render node that hold lists and pairs."""
+
+from __future__ import annotations
+
+import pytest
+
+from gibson_sim.config import RenderConfig
+from gibson_sim.errors import ConfigError
+
+
+def test_cameras_are_names_separated_by_commas() -> None:
+    assert RenderConfig(cameras="left/camera, right/camera").wanted_cameras() == ("left/camera", "right/camera")
+    assert RenderConfig().wanted_cameras() == ()
+
+
+def test_registrations_are_pairs() -> None:
+    assert RenderConfig(register_depth="a=b, c=d").registrations() == {"a": "b", "c": "d"}
+
+
+@pytest.mark.parametrize("text", ["a", "a=", "=b", "a=b,c"])
+def test_half_a_pair_is_refused_with_an_example(text: str) -> None:
+    with pytest.raises(ConfigError, match="'register_depth' has .*must be pairs separated by commas, e.g. depth_camera=color"):
+        RenderConfig(register_depth=text)
+
+
+def test_asset_folders_are_pairs() -> None:
+    assert RenderConfig(asset_roots="/a/b=/c").asset_folders() == (("/a/b", "/c"),)
