@@ -55,7 +55,7 @@ def test_cabinet_has_two_doors_and_two_drawers(data_dir: Path) -> None:
     assert len(body.model.links) == 9
     assert body.model.root == "sektion"
     moved = {joint.child for joint in body.model.joints if joint.kind != "fixed"}
-    assert moved == {"drawer_top", "drawer_bottom", "door_left", "door_right"}
+    assert moved == {"drawer_top", "drawer_bottom", "door_left_link", "door_right_link"}
     assert all(link.collisions for link in body.model.links)
 
 

@@ -33,8 +33,7 @@ ROOM = (
 def scan_at(make_scene: MakeScene, robot: RobotSpec, x: float, y: float, yaw: float) -> Scan:
     start = pose_from_xyz_rpy((x, y, 0.0), (0.0, 0.0, yaw))
     with PhysicsWorld(make_scene(replace(robot, start=start), collisions=ROOM)) as world:
-        assert robot.lidar is not None
-        return measure_scan(robot.lidar, world.state(), world.cast_rays)
+        return measure_scan(robot.sensors.lidars[0], world.state(), world.cast_rays)
 
 
 def test_front_left_back_right(make_scene: MakeScene, robot: RobotSpec) -> None:
@@ -57,12 +56,12 @@ def test_scan_turns_with_the_robot(make_scene: MakeScene, robot: RobotSpec) -> N
 
 def test_open_space_is_infinite(make_scene: MakeScene, robot: RobotSpec) -> None:
     with PhysicsWorld(make_scene(robot)) as world:
-        assert robot.lidar is not None
-        assert set(measure_scan(robot.lidar, world.state(), world.cast_rays).ranges.tolist()) == {math.inf}
+        assert set(measure_scan(robot.sensors.lidars[0], world.state(), world.cast_rays).ranges.tolist()) == {math.inf}
 
 
 def test_wall_nearer_than_the_minimum_is_minus_infinity(make_scene: MakeScene, robot: RobotSpec) -> None:
-    near = replace(robot, lidar=replace(robot.lidar, range_min=1.2))
+    lidar = replace(robot.sensors.lidars[0], range_min=1.2)
+    near = replace(robot, sensors=replace(robot.sensors, lidars=(lidar,)))
     ranges = scan_at(make_scene, near, 0.0, 0.0, 0.0).ranges
     assert ranges[270] == -math.inf
     assert ranges[180] == pytest.approx(1.5, abs=1e-3)

@@ -43,8 +43,14 @@ def test_unknown_choice_is_refused_with_the_choices() -> None:
 
 
 def test_rates_that_do_not_divide_are_refused() -> None:
-    with pytest.raises(ConfigError, match="'publish_hz' is 50 Hz, must divide 'clock_hz', which is 120 Hz"):
+    with pytest.raises(ConfigError, match="'publish_hz' is 50 Hz, must divide 'step_hz', which is 240 Hz"):
         PhysicsConfig(publish_hz=50)
+
+
+def test_clock_may_have_any_rate_up_to_that_of_the_steps() -> None:
+    assert PhysicsConfig(clock_hz=7).clock_hz == 7
+    with pytest.raises(ConfigError, match="'clock_hz' is 241 Hz, must be at most 'step_hz', 240 Hz"):
+        PhysicsConfig(clock_hz=241)
 
 
 def test_camera_outputs_come_in_the_order_of_the_renderer() -> None:

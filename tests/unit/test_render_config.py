@@ -19,7 +19,7 @@ def test_registrations_are_pairs() -> None:
 
 @pytest.mark.parametrize("text", ["a", "a=", "=b", "a=b,c"])
 def test_half_a_pair_is_refused_with_an_example(text: str) -> None:
-    with pytest.raises(ConfigError, match="'register_depth' has .*must be pairs separated by commas, e.g. depth_camera=color"):
+    with pytest.raises(ConfigError, match=r"'register_depth' has .*must be pairs separated by commas, e\.g\. depth_camera=color"):
         RenderConfig(register_depth=text)
 
 

@@ -5,6 +5,8 @@
       SceneError                   a scene cannot be loaded
         SceneNotFoundError         nothing is there, or nothing that we can read
         MeshError                  a mesh or a texture file is broken
+        scenes.spawning.SpawnError something cannot be spawned; its code says why
+        scenes.worlds.WorldError   a world cannot be listed or loaded; its code says why
       RobotError                   a robot description cannot be used
       CommandError                 a command cannot be executed (a NaN velocity)
       PhysicsError                 the physics engine refused

@@ -63,7 +63,7 @@ def test_radius_reaches_the_farthest_corner(load: Load) -> None:
 
 def test_links_carry_the_body_name_where_the_scene_needs_it(load: Load) -> None:
     robot = load("cameras: [{name: cam, link: eye_optical_frame}]\nlidar: {link: eye}\n")
-    assert (robot.cameras[0].link, robot.lidar.link) == ("bob/eye_optical_frame", "bob/eye")
+    assert (robot.cameras[0].link, robot.sensors.lidars[0].link) == ("bob/eye_optical_frame", "bob/eye")
     assert robot.links[0] == "base"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections import deque
 from dataclasses import fields
 from typing import Any
 
@@ -18,7 +19,7 @@ from tf2_msgs.msg import TFMessage
 from gibson_examples import conversions
 from gibson_examples.costmap import Costmap, CostmapSettings
 from gibson_examples.errors import NavigationError, TransformError, TransformNotYetError
-from gibson_examples.geometry import Pose2D, format_pose, parse_pose, planar
+from gibson_examples.geometry import F64, Pose2D, format_pose, parse_pose, planar
 from gibson_examples.localisation import FilterSettings, Localiser, scan_points
 from gibson_examples.navigator import Navigator
 from gibson_examples.pure_pursuit import STOP, PursuitSettings, Velocity
@@ -26,8 +27,9 @@ from gibson_examples.settings import NavigationSettings
 from gibson_examples.transforms import NS_PER_S, TransformBuffer
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-ODOMETRY_TIMEOUT_S = 0.5
-"""Without odometry for so long, in the time of the scans, the robot is told to stop."""
+SENSOR_TIMEOUT_S = 0.6
+"""Without a scan or odometry for so long, in the robot's time, it is told to stop."""
+_NEVER = 1 << 62
 
 
 class NavigateNode(Node):
@@ -66,9 +68,9 @@ class NavigateNode(Node):
         self._initial = parse_pose(s.initial_pose, "parameter initial_pose") if s.initial_pose else None
         self._initial_sigma = (s.initial_sigma_xy, math.radians(s.initial_sigma_yaw_deg))
         self._goal = parse_pose(s.goal, "parameter goal") if s.goal else None
-        self._scan: Any = None
-        self._scanned_ns = self._commanded_ns = -(1 << 62)
-        self._odometry_ns: int | None = None
+        self._scans: deque[Any] = deque(maxlen=10)
+        """Those that wait for the transforms of their time: on a busy machine /tf comes later than they do."""
+        self._newest_scan_ns = self._scanned_ns = self._odometry_ns = self._commanded_ns = -_NEVER
         self._said = ""
         self._planned: Any = None
         """The path that was last published."""
@@ -156,8 +158,11 @@ class NavigateNode(Node):
         self._odometry_ns = conversions.stamp_ns(msg.header.stamp)
 
     def _on_scan(self, msg: Any) -> None:
-        """Keeps the newest scan until the transform of its time is here."""
-        self._scan = msg
+        ns = conversions.stamp_ns(msg.header.stamp)
+        if ns < self._newest_scan_ns:
+            self._begin_anew()
+        self._newest_scan_ns = ns
+        self._scans.append(msg)
         self._localise()
 
     def _odom_pose(self, ns: int | None) -> Pose2D:
@@ -165,46 +170,52 @@ class NavigateNode(Node):
         return planar(self._tf.lookup(self._settings.odom_frame, self._settings.base_frame, ns))
 
     def _localise(self) -> None:
-        """Takes the scan that waits, if its transforms are known."""
-        scan, s = self._scan, self._settings
-        if scan is None or self._localiser is None or self._costmap is None:
+        """Takes the newest scan whose transforms are known, and drops the older ones."""
+        if self._localiser is None or self._costmap is None:
             return
-        ns = conversions.stamp_ns(scan.header.stamp)
-        if ns < self._scanned_ns:
-            self._begin_anew()
+        s = self._settings
+        for i in reversed(range(len(self._scans))):
+            scan = self._scans[i]
+            ns = conversions.stamp_ns(scan.header.stamp)
+            try:
+                odom = self._odom_pose(ns)
+                base_from_scan = self._tf.lookup(s.base_frame, scan.header.frame_id, ns)
+            except TransformNotYetError:
+                continue
+            except TransformError as error:
+                self.get_logger().warning(f"scan left out: {error}", throttle_duration_sec=5.0)
+                scan = None
+            for _ in range(i + 1):
+                self._scans.popleft()
+            if scan is not None:
+                self._take_scan(self._localiser, self._costmap, scan, ns, odom, base_from_scan)
+            return
+
+    def _take_scan(self, localiser: Localiser, costmap: Costmap, scan: Any, ns: int, odom: Pose2D, base_from_scan: F64) -> None:
+        """Localises by a scan and enters it into the costmap: T_odom_base and T_base_scan, (4, 4), at its time."""
         self._scanned_ns = ns
-        try:
-            odom = self._odom_pose(ns)
-            base_from_scan = self._tf.lookup(s.base_frame, scan.header.frame_id, ns)
-        except TransformNotYetError:
-            return
-        except TransformError as error:
-            self.get_logger().warning(f"scan left out: {error}", throttle_duration_sec=5.0)
-            self._scan = None
-            return
-        self._scan = None
         if self._initial is not None:
-            self._localiser.initialise(self._initial, *self._initial_sigma, odom)
+            localiser.initialise(self._initial, *self._initial_sigma, odom)
             self._initial = None
         ends, hits = scan_points(scan.ranges, scan.angle_min, scan.angle_increment, scan.range_min, scan.range_max)
         ends = ends @ base_from_scan[:2, :2].T + base_from_scan[:2, 3]
-        self._localiser.update(odom, ends[hits])
-        if self._localiser.map_from_odom is None:
+        localiser.update(odom, ends[hits])
+        if localiser.map_from_odom is None:
             self._say("waiting for initialpose")
             return
-        pose = self._localiser.map_from_odom @ odom
+        pose = localiser.map_from_odom @ odom
         sensor = pose.transform(base_from_scan[None, :2, 3])[0]
-        self._costmap.add_scan(sensor, pose.transform(ends), hits, ns / NS_PER_S)
-        self._publish_pose(pose, self._localiser.map_from_odom, ns)
+        costmap.add_scan(sensor, pose.transform(ends), hits, ns / NS_PER_S)
+        self._publish_pose(pose, localiser.map_from_odom, ns)
 
     def _begin_anew(self) -> None:
         """Forgets where the robot was: time has jumped back, so the simulation was reset, and the odometry with it."""
-        assert self._localiser is not None
-        assert self._costmap is not None
         self.get_logger().warning("time has jumped back: the robot must be localised anew")
-        self._localiser.forget()
-        self._costmap.forget_obstacles()
-        self._odometry_ns = None
+        self._scans.clear()
+        self._odometry_ns = self._scanned_ns = -_NEVER
+        if self._localiser is not None and self._costmap is not None:
+            self._localiser.forget()
+            self._costmap.forget_obstacles()
         if self._settings.initial_pose:
             self._initial = parse_pose(self._settings.initial_pose, "parameter initial_pose")
 
@@ -228,9 +239,11 @@ class NavigateNode(Node):
         except TransformError:
             return
         command = self._navigator.step(pose, ns / NS_PER_S)
-        if self._odometry_ns is None or ns - self._odometry_ns > ODOMETRY_TIMEOUT_S * NS_PER_S:
-            self.get_logger().warning("no odometry: standing still", throttle_duration_sec=5.0)
-            command = STOP if command is not None else None
+        blind = ns - min(self._scanned_ns, self._odometry_ns) > SENSOR_TIMEOUT_S * NS_PER_S
+        if command is not None and blind:
+            missing = "scan" if self._scanned_ns < self._odometry_ns else "odometry"
+            self.get_logger().warning(f"no {missing} for {SENSOR_TIMEOUT_S:g} s: standing still", throttle_duration_sec=5.0)
+            command = STOP
         if command is not None:
             self._send(command, ns)
         self._publish_progress(ns)

@@ -286,7 +286,8 @@ def main(args: list[str] | None = None) -> None:
         print(f"error: {error}", file=sys.stderr)
         sys.exit(1)
     print(
-        f"{trial.passed} of {len(trial.runs)}; the node used {trial.cpu_per_simulated_second:.2f} s of a core per simulated second"
+        f"{trial.passed} of {len(trial.runs)}; {trial.real_time_factor:.1f} simulated seconds a second, "
+        f"each of which cost the node {trial.cpu_per_simulated_second:.2f} s of a core"
     )
     if options.json:
         options.json.write_text(json.dumps(asdict(trial), indent=2) + "\n")

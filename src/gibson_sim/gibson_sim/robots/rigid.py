@@ -107,6 +107,7 @@ def physics_urdf(model: UrdfModel, groups: tuple[RigidGroup, ...], *, concave: b
             _geometry(collision, shape)
         if group.joint is not None:
             _joint(robot, group, group.joint)
+    ET.indent(robot)  # Bullet breaks lines of more than 8 KB, also in the middle of a file's name.
     return ET.tostring(robot, encoding="unicode")
 
 

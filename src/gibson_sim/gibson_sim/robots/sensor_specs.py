@@ -210,7 +210,7 @@ class WheelOdometrySpec:
     """What is wrong with the odometry of the wheels.
 
     The alphas are those of the odometry model in Thrun, Burgard and Fox, "Probabilistic Robotics" (2005), for motions of 1 m and
-    1 rad. Longer motions add up as independent ones do (a random walk), so that the physics rate does not matter.
+    1 rad: so long an error stays the same part of the motion. Longer motions add up as independent ones do (a random walk).
     """
 
     encoder_ticks: int = 0

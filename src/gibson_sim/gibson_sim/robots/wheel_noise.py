@@ -12,7 +12,7 @@ _TURN = 2.0 * math.pi
 
 
 class OdometryNoise:
-    """The errors of one robot's odometry; the slip of a step is decided by the seeds, the robot's name and the stamp alone."""
+    """The errors of one robot's odometry; the seeds, the robot's name and the stamp decide how it slips."""
 
     def __init__(self, spec: WheelOdometrySpec, name: str, seed: int = 0, left: Sequence[bool] = (True, False)) -> None:
         """Starts with all encoders at 0.
@@ -24,7 +24,9 @@ class OdometryNoise:
             left: For each wheel, in the order of ``increments``, whether it is on the robot's left.
         """
         self._spec = spec
-        self._noise = NoiseSource(f"{name}/wheel_odometry", seed, spec.seed)
+        noise = NoiseSource(f"{name}/wheel_odometry", seed, spec.seed)
+        self._by_distance = _Slip(noise, 0, spec.alpha2, spec.alpha3)
+        self._by_angle = _Slip(noise, 1, spec.alpha1, spec.alpha4)
         self._factors = tuple(spec.left_radius_factor if is_left else spec.right_radius_factor for is_left in left)
         self._slips = any((spec.alpha1, spec.alpha2, spec.alpha3, spec.alpha4))
         self.exact = not (self._slips or spec.encoder_ticks or {*self._factors, spec.separation_factor} != {1.0})
@@ -32,9 +34,11 @@ class OdometryNoise:
         self.reset()
 
     def reset(self) -> None:
-        """Puts all encoders back to 0."""
+        """Puts all encoders back to 0, and forgets the slip."""
         self._angles = [0.0] * len(self._factors)
         self._ticks = [0] * len(self._factors)
+        self._by_distance.reset()
+        self._by_angle.reset()
 
     def wheels(self, increments: Sequence[float]) -> tuple[float, ...]:
         """Returns the turns of the wheels, radians, as their encoders count them and wrong radii scale them.
@@ -54,13 +58,45 @@ class OdometryNoise:
         return tuple(out)
 
     def motion(self, stamp_ns: int, forward: float, left: float, turn: float) -> tuple[float, float, float]:
-        """Returns a motion of the base (forward m, left m, turn rad) with the slip of a step and the error of a wrong separation."""
+        """Returns a motion of the base (forward m, left m, turn rad) with its slip and the error of a wrong separation.
+
+        A wheel slips evenly for a while: an error, in parts of the motion, lasts for 1 m or 1 rad, then another one comes.
+
+        Args:
+            stamp_ns: Of the end of the step; that of its first step decides a new error.
+            forward: Metres, far less than 1.
+            left: Metres, far less than 1.
+            turn: Radians, counter-clockwise, far less than 1.
+        """
         turn /= self._spec.separation_factor
         if not self._slips:
             return forward, left, turn
-        distance, angle, spec = math.hypot(forward, left), abs(turn), self._spec
-        along, about = self._noise.at(stamp_ns).standard_normal(2).tolist()
-        slip = along * math.sqrt(spec.alpha3 * distance + spec.alpha4 * angle)
+        distance, angle = math.hypot(forward, left), abs(turn)
+        turn_by_distance, slip_by_distance = self._by_distance.advance(stamp_ns, distance)
+        turn_by_angle, slip_by_angle = self._by_angle.advance(stamp_ns, angle)
+        slip = slip_by_distance * distance + slip_by_angle * angle
         # Along the motion; forward where the base turns in place.
         x, y = (forward / distance, left / distance) if distance > 0.0 else (1.0, 0.0)
-        return forward + slip * x, left + slip * y, turn + about * math.sqrt(spec.alpha1 * angle + spec.alpha2 * distance)
+        return forward + slip * x, left + slip * y, turn + turn_by_distance * distance + turn_by_angle * angle
+
+
+class _Slip:
+    """Two errors in parts of a motion, that of the turn and that of the translation, each constant over one unit of the motion."""
+
+    def __init__(self, noise: NoiseSource, purpose: int, turn_variance: float, slip_variance: float) -> None:
+        self._noise, self._purpose = noise, purpose
+        self._deviations = (math.sqrt(turn_variance), math.sqrt(slip_variance))
+        self.reset()
+
+    def reset(self) -> None:
+        self._left = 0.0
+        self._errors = (0.0, 0.0)
+
+    def advance(self, stamp_ns: int, amount: float) -> tuple[float, float]:
+        """Returns (error of the turn, error of the translation) for each unit of a motion of ``amount`` units."""
+        if amount > 0.0 and self._left <= 0.0:
+            turn, slip = self._noise.at(stamp_ns, self._purpose).standard_normal(2).tolist()
+            self._errors = (turn * self._deviations[0], slip * self._deviations[1])
+            self._left = 1.0
+        self._left -= amount
+        return self._errors

@@ -15,7 +15,7 @@ from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.sensors.depth_noise import apply_depth_noise
-from gibson_sim.sensors.depth_registration import DepthRegistration
+from gibson_sim.sensors.depth_registration import DepthRegistration, split_for
 from gibson_sim.sensors.image_codecs import COMPRESSED_DEPTH_FORMAT, ColorCodec, color_format, encode_color, encode_depth
 from gibson_sim.sensors.point_cloud import cloud_of_frame
 from gibson_sim.types import CameraSpec, Frame, Output
@@ -35,6 +35,9 @@ class CameraPublisher:
         camera: as the scene has it.
         config: how images are compressed.
         target: the camera that its depth is registered to; None = none.
+
+    Raises:
+        ConfigError: its depth cannot be registered to ``target``, or an override of quality of service is not allowed.
     """
 
     def __init__(self, node: Node, camera: CameraSpec, config: RenderConfig, target: CameraSpec | None = None) -> None:
@@ -44,6 +47,8 @@ class CameraPublisher:
         self._label_publishers: dict[Output, Publisher] = {}
         self._labels: dict[Output, tuple[str, ...]] = {}
         self._registration: tuple[bytes, DepthRegistration] | None = None
+        if target is not None:
+            split_for(camera, target)  # now, not at each image
         for kind, message_type, topic in self._topics():
             self._publishers[kind] = qos.make_publisher(node, message_type, topic, qos.SENSOR)
         for output in _LABELS:

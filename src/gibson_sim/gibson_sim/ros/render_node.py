@@ -185,7 +185,7 @@ class RenderNode(Node):
         assert self._scene is not None
         foreign = [state for state in states if state.revision != self._scene.revision]
         if ours or not foreign:
-            self._foreign_since = 0.0
+            self._early, self._foreign_since = None, 0.0
             return
         self._early = next((state for state in reversed(foreign) if state.due_cameras), self._early)
         self._foreign_since = self._foreign_since or time.monotonic()

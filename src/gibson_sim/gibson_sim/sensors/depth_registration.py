@@ -17,6 +17,22 @@ MAX_SPLIT = 8
 F32 = NDArray[np.float32]
 
 
+def split_for(source: CameraSpec, target: CameraSpec) -> int:
+    """Returns into how many parts along a side a pixel of ``source`` is split for ``target``.
+
+    Raises:
+        ConfigError: more than ``MAX_SPLIT``.
+    """
+    finer = float((np.diag(target.intrinsics())[:2] / np.diag(source.intrinsics())[:2]).max())
+    split = max(1, math.ceil(finer - 1e-6))
+    if split > MAX_SPLIT:
+        raise ConfigError(
+            f"depth of camera {source.name!r} cannot be registered to {target.name!r}, whose pixels are {finer:.1f} times as fine; "
+            f"at most {MAX_SPLIT} times: give it a smaller image or the depth camera a larger one"
+        )
+    return split
+
+
 class DepthRegistration:
     """Moves depth images of ``source`` into the image of ``target``.
 
@@ -29,17 +45,11 @@ class DepthRegistration:
         T_target_source: takes points in the source's optical frame to the target's.
 
     Raises:
-        ConfigError: the target's pixels are so fine that a pixel of the source would have to be split too often.
+        ConfigError: see ``split_for``.
     """
 
     def __init__(self, source: CameraSpec, target: CameraSpec, T_target_source: Mat4) -> None:
-        finer = max(np.diag(target.intrinsics())[:2] / np.diag(source.intrinsics())[:2])
-        self._split = max(1, math.ceil(finer - 1e-6))
-        if self._split > MAX_SPLIT:
-            raise ConfigError(
-                f"depth of camera {source.name!r} cannot be registered to {target.name!r}, whose pixels are {finer:.1f} times as fine; "
-                f"at most {MAX_SPLIT} times: give it a smaller image or the depth camera a larger one"
-            )
+        self._split = split_for(source, target)
         n = self._split
         offsets = (np.arange(n) + 0.5) / n - 0.5
         v = (np.arange(source.height)[:, None] + offsets).ravel()

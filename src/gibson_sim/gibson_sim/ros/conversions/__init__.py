@@ -38,7 +38,7 @@ from gibson_sim.ros.conversions.robot import (
     velocity_from_msg,
 )
 from gibson_sim.ros.conversions.scene import scene_from_msg, scene_state_from_msg, scene_state_to_msg, scene_to_msg
-from gibson_sim.ros.conversions.sensors import battery_to_msg, bumper_to_msgs, lidar_cloud_to_msg, imu_to_msg
+from gibson_sim.ros.conversions.sensors import battery_to_msg, bumper_to_msgs, imu_to_msg, lidar_cloud_to_msg
 
 __all__ = [
     "ENCODINGS",

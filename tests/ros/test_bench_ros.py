@@ -1,0 +1,87 @@
+"""``gibson-sim bench ros`` with tiny sizes: the figures have sane content, whatever they are."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from support.simulation import require
+
+require("rclpy", "gibson_msgs")
+
+from gibson_sim.bench.ros import Listener, Plan, Size, Way  # noqa: E402
+from gibson_sim.bench.ros_report import report_text  # noqa: E402
+from gibson_sim.cli.bench_ros import measure  # noqa: E402
+from gibson_sim.cli.processes import DomainLock  # noqa: E402
+
+pytestmark = pytest.mark.ros
+TINY = Plan(
+    bodies=3,
+    round_trips=10,
+    transport_size=Size(64, 48),
+    transport_images=6,
+    clock_s=0.5,
+    listeners=(Listener("events", True), Listener("standard", False)),
+    pipeline_sizes=(Size(64, 48),),
+    pipeline_hz=(10.0,),
+    pipeline_s=0.5,
+)
+
+
+@pytest.mark.parametrize("executor", ["standard", "events", "wait set"])
+@pytest.mark.parametrize("form", ["message", "bytes"])
+def test_every_round_trip_is_counted_whichever_way_it_goes(ros_domain: int, executor: str, form: str) -> None:
+    plan = Plan(("state",), bodies=3, round_trips=10, ways=(Way(executor, form),))
+    report = measure(plan)
+    assert report.left_out == ()
+    (trip,) = report.round_trips
+    assert (trip.executor, trip.form, trip.bodies, trip.count) == (executor, form, 3, 10)
+    assert 0.0 < trip.us.median <= trip.us.p95 <= trip.us.p99
+
+
+def test_images_are_counted_once_and_have_an_age(ros_domain: int) -> None:
+    report = measure(Plan(("transport",), transport_size=TINY.transport_size, transport_images=6))
+    assert report.left_out == ()
+    assert [row.executor for row in report.transports] == ["standard", "events", "wait set"]
+    assert all(0 < row.received <= row.sent == 6 and row.ms.median > 0.0 for row in report.transports)
+
+
+def test_clock_reaches_the_node_that_uses_it_and_no_other(ros_domain: int) -> None:
+    report = measure(Plan(("clock",), clock_s=TINY.clock_s, listeners=TINY.listeners))
+    assert report.left_out == ()
+    listening, idle = report.clocks
+    assert listening.clock_s > 0.0
+    assert listening.cpu_percent > 0.0
+    assert idle.clock_s == 0.0
+
+
+def test_running_simulation_is_measured_from_its_own_images(ros_domain: int) -> None:
+    report = measure(Plan(("pipeline",), **{k: getattr(TINY, k) for k in ("pipeline_sizes", "pipeline_hz", "pipeline_s")}))
+    assert report.left_out == ()
+    (row,) = report.pipelines
+    assert 0 < row.received <= row.due
+    assert row.to_received_ms.median >= row.to_published_ms.median > 0.0
+    assert "64x48" in report_text(report)
+
+
+def test_a_scenario_beside_a_running_simulation_is_refused(ros_domain: int) -> None:
+    lock = DomainLock(ros_domain)
+    done = subprocess.run(
+        [sys.executable, "-m", "gibson_sim.cli.main", "bench", "ros", "--only", "clock"], capture_output=True, text=True
+    )
+    lock.close()
+    assert done.returncode == 3
+    assert "a simulation runs in ROS domain" in done.stderr
+
+
+def test_report_goes_to_the_file_that_is_named(ros_domain: int, tmp_path: Path) -> None:
+    path = tmp_path / "new" / "ros.json"
+    command = [sys.executable, "-m", "gibson_sim.cli.main", "bench", "ros", "--quick", "--only", "transport", "--json", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert [row["sent"] for row in json.loads(path.read_text())["transports"]] == [120, 120, 120]
+    assert "Targets for two cores" in done.stdout

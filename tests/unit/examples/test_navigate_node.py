@@ -1,0 +1,220 @@
+"""The node, fed by hand: messages in the order and at the times that a busy machine may bring."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from support.simulation import require
+
+require("rclpy", "nav_msgs", "tf2_msgs")
+
+import rclpy  # noqa: E402
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, TransformStamped  # noqa: E402
+from nav_msgs.msg import OccupancyGrid, Odometry  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
+from sensor_msgs.msg import LaserScan  # noqa: E402
+from tf2_msgs.msg import TFMessage  # noqa: E402
+
+from gibson_examples import conversions  # noqa: E402
+from gibson_examples.errors import MapError, SettingError  # noqa: E402
+from gibson_examples.geometry import Pose2D  # noqa: E402
+from gibson_examples.node import NavigateNode  # noqa: E402
+from gibson_examples.pure_pursuit import Velocity  # noqa: E402
+from unit.examples.drawing import empty_room, ranges_at  # noqa: E402
+
+pytestmark = pytest.mark.ros
+ROOM = empty_room(6.0, 4.0)
+START = Pose2D(2.0, 2.0, 0.0)
+MS = 1_000_000
+
+
+def map_msg() -> Any:
+    msg = OccupancyGrid()
+    msg.header.frame_id = "map"
+    msg.info.resolution, (msg.info.height, msg.info.width) = ROOM.resolution, ROOM.shape
+    msg.info.origin.orientation.w = 1.0
+    msg.data = array("b", ROOM.occupancy.tobytes())
+    return msg
+
+
+class Fed:
+    """The node, what it sent, and a robot in a room whose odometry began at 2, 2."""
+
+    def __init__(self, context: Any, **parameters: Any) -> None:
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        self.node = NavigateNode(context=context, parameter_overrides=overrides)
+        self.sent: list[Any] = []
+        self.tfs: list[Any] = []
+        self.node._cmd_pub.publish = self.sent.append
+        self.node._tf_pub.publish = self.tfs.append
+        static = TransformStamped(child_frame_id="base_scan")
+        static.header.frame_id = "base_footprint"
+        static.transform.translation.z, static.transform.rotation.w = 0.16, 1.0
+        self.node._on_tf_static(TFMessage(transforms=[static]))
+
+    def tf(self, ms: int, odom: Pose2D) -> None:
+        self.node._on_tf(TFMessage(transforms=[conversions.transform_msg(odom, ms * MS, "odom", "base_footprint")]))
+
+    def odometry(self, ms: int) -> None:
+        msg = Odometry()
+        msg.header.stamp = conversions.time_msg(ms * MS)
+        self.node._on_odometry(msg)
+
+    def scan(self, ms: int, odom: Pose2D) -> None:
+        ranges = ranges_at(ROOM, START @ odom)
+        msg = LaserScan(angle_increment=2 * math.pi / len(ranges), range_min=0.1, range_max=12.0)
+        msg.header.stamp, msg.header.frame_id = conversions.time_msg(ms * MS), "base_scan"
+        msg.ranges = array("f", ranges.astype(np.float32).tobytes())
+        self.node._on_scan(msg)
+
+
+@pytest.fixture
+def context(ros_domain: int) -> Iterator[Any]:
+    context = rclpy.Context()
+    context.init(domain_id=ros_domain)
+    yield context
+    context.try_shutdown()
+
+
+@pytest.fixture
+def fed(context: Any) -> Iterator[Fed]:
+    fed = Fed(context, initial_pose="2,2,0", goal="4,2,0")
+    fed.node._on_map(map_msg())
+    yield fed
+    fed.node.destroy_node()
+
+
+HERE = Pose2D(0.0, 0.0, 0.0)
+
+
+def test_robot_drives_once_map_scan_odometry_and_tf_are_there(fed: Fed) -> None:
+    fed.odometry(100)
+    fed.tf(100, HERE)
+    assert fed.sent == []
+    fed.scan(100, HERE)
+    fed.tf(200, HERE)
+    assert fed.sent[-1].linear.x > 0.0
+
+
+def test_scan_waits_for_the_transform_of_its_time(fed: Fed) -> None:
+    fed.tf(100, HERE)
+    fed.scan(150, HERE)
+    assert fed.tfs == []
+    fed.tf(200, HERE)
+    assert conversions.stamp_ns(fed.tfs[0].transforms[0].header.stamp) == 350 * MS  # 0.2 s ahead
+
+
+def test_scans_that_always_come_before_their_transforms_are_used_all_the_same(fed: Fed) -> None:
+    for ms in range(0, 2000, 100):
+        fed.scan(ms + 300, HERE)
+        fed.tf(ms, HERE)
+    assert len(fed.tfs) >= 15
+
+
+def test_transform_from_map_to_odom_is_where_odometry_began(fed: Fed) -> None:
+    for k in range(12):
+        odom = Pose2D(0.04 * k, 0.0, 0.0)
+        fed.tf(100 * k, odom)
+        fed.scan(100 * k, odom)
+    transform = fed.tfs[-1].transforms[0]
+    assert (transform.header.frame_id, transform.child_frame_id) == ("map", "odom")
+    assert (transform.transform.translation.x, transform.transform.translation.y) == pytest.approx((2.0, 2.0), abs=0.05)
+
+
+def test_robot_stops_when_scans_stay_away(fed: Fed) -> None:
+    fed.tf(100, HERE)
+    fed.scan(100, HERE)
+    for ms in range(150, 701, 50):
+        fed.odometry(ms)
+        fed.tf(ms, HERE)
+    assert fed.sent[-1].linear.x > 0.0
+    fed.odometry(750)
+    fed.tf(750, HERE)
+    assert (fed.sent[-1].linear.x, fed.sent[-1].angular.z) == (0.0, 0.0)
+
+
+def test_commands_come_at_twenty_hertz_of_the_robots_time(fed: Fed) -> None:
+    fed.odometry(0)
+    fed.tf(0, HERE)
+    fed.scan(0, HERE)
+    for ms in range(10, 501, 10):
+        fed.tf(ms, HERE)
+    assert len(fed.sent) == 10
+
+
+def test_jump_back_in_time_localises_anew(fed: Fed) -> None:
+    fed.tf(5000, Pose2D(1.0, 0.0, 0.0))
+    fed.scan(5000, Pose2D(1.0, 0.0, 0.0))
+    fed.tf(0, HERE)
+    fed.scan(0, HERE)
+    translation = fed.tfs[-1].transforms[0].transform.translation
+    assert (translation.x, translation.y) == pytest.approx((2.0, 2.0), abs=0.15)
+
+
+def test_goal_in_another_frame_is_ignored(fed: Fed) -> None:
+    goal = PoseStamped()
+    goal.header.frame_id, goal.pose.orientation.w = "odom", 1.0
+    fed.node._on_goal(goal)
+    assert fed.node._goal == Pose2D(4.0, 2.0, 0.0)
+
+
+def test_initial_pose_by_topic_starts_the_robot(context: Any) -> None:
+    fed = Fed(context, goal="4,2,0", stamped=True)
+    fed.node._on_map(map_msg())
+    fed.odometry(0)
+    fed.tf(0, HERE)
+    fed.scan(0, HERE)
+    assert fed.node._said == "waiting for initialpose"
+    pose = PoseWithCovarianceStamped()
+    pose.pose.pose.position.x = pose.pose.pose.position.y = 2.0
+    pose.pose.pose.orientation.w = 1.0
+    fed.node._on_initial_pose(pose)
+    fed.scan(50, HERE)
+    fed.tf(50, HERE)
+    assert fed.sent[-1].twist.linear.x > 0.0
+    assert conversions.stamp_ns(fed.sent[-1].header.stamp) == 50 * MS
+    fed.node.destroy_node()
+
+
+def test_wrong_goal_is_refused_at_the_start(context: Any) -> None:
+    with pytest.raises(SettingError, match="parameter goal is 'kitchen'"):
+        Fed(context, goal="kitchen")
+
+
+def test_map_that_is_turned_is_refused() -> None:
+    msg = map_msg()
+    msg.info.origin.orientation.z, msg.info.origin.orientation.w = math.sin(0.5), math.cos(0.5)
+    with pytest.raises(MapError, match="turned by 57.3 degrees"):
+        conversions.grid_from(msg)
+
+
+def test_map_with_missing_cells_is_refused() -> None:
+    msg = map_msg()
+    msg.data = array("b", [0, 0])
+    with pytest.raises(MapError, match="2 cells, but it says 120 x 80"):
+        conversions.grid_from(msg)
+
+
+def test_pose_without_rotation_is_refused_with_the_remedy() -> None:
+    msg = PoseStamped()
+    msg.pose.orientation.w = 0.0
+    with pytest.raises(SettingError, match="send w = 1"):
+        conversions.pose_from(msg.pose)
+
+
+def test_path_looks_along_its_way() -> None:
+    msg = conversions.path_msg(np.column_stack([np.zeros(9), np.arange(9) * 0.05]), 0, "map")
+    assert len(msg.poses) == 3
+    assert msg.poses[1].pose.position.y == pytest.approx(0.2)
+    assert msg.poses[1].pose.orientation.z == pytest.approx(math.sqrt(0.5))
+
+
+def test_velocity_becomes_a_twist() -> None:
+    twist = conversions.twist_msg(Velocity(0.25, -0.5), 0, "base", stamped=False)
+    assert (twist.linear.x, twist.angular.z) == (0.25, -0.5)

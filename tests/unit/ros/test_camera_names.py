@@ -1,0 +1,19 @@
+"""Names of the topics of cameras."""
+
+from __future__ import annotations
+
+from gibson_sim.ros import names
+
+
+def test_topics_stand_below_the_cameras_name() -> None:
+    topics = names.camera_topics("left/camera")
+    assert (topics["rgb"], topics["depth_info"]) == ("left/camera/image_raw", "left/camera/depth/camera_info")
+    assert names.compressed_topic(topics["rgb"]) == "left/camera/image_raw/compressed"
+    assert names.compressed_depth_topic(topics["depth"]) == "left/camera/depth/image_raw/compressedDepth"
+
+
+def test_what_repeats_another_topic_is_derived_and_images_are_not() -> None:
+    rgb, depth = (names.camera_topics("camera")[output] for output in ("rgb", "depth"))
+    repeated = [names.compressed_topic(rgb), names.compressed_depth_topic(depth), names.points_topic("camera")]
+    assert all(map(names.is_derived, [*repeated, *names.registered_depth_topics("camera")]))
+    assert not any(map(names.is_derived, [rgb, depth, *names.camera_topics("camera").values(), "scan", "lidar/points"]))

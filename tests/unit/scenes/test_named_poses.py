@@ -1,0 +1,77 @@
+"""Places with a name in our flat, and where there is no floor."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
+from gibson_sim.scenes.floor_map import scene_floor_map
+from gibson_sim.scenes.load import load_scene
+from gibson_sim.scenes.named_poses import FREE_PLACES, NamedPose, named_poses
+from gibson_sim.scenes.spec import SceneSpec, StartPose
+from gibson_sim.types import Pose
+
+
+@pytest.fixture(scope="module")
+def flat() -> SceneSpec:
+    return load_scene("flat")
+
+
+@pytest.fixture(scope="module")
+def poses(flat: SceneSpec) -> tuple[NamedPose, ...]:
+    return named_poses(flat)
+
+
+def tagged(poses: tuple[NamedPose, ...], tag: str) -> list[NamedPose]:
+    return [pose for pose in poses if tag in pose.tags]
+
+
+def test_names_are_unique_and_all_kinds_are_there(flat: SceneSpec, poses: tuple[NamedPose, ...]) -> None:
+    names = [pose.name for pose in poses]
+    assert len(set(names)) == len(names)
+    assert [pose.name for pose in tagged(poses, "start")] == [start.name for start in flat.starts]
+    assert len(tagged(poses, "free")) == FREE_PLACES
+    # Hall, living room, kitchen, bedroom and bathroom; a cupboard may cut the hall in two.
+    assert 5 <= len(tagged(poses, "room")) <= 6
+
+
+def test_doors_are_where_the_walls_of_the_flat_have_them(poses: tuple[NamedPose, ...]) -> None:
+    doors = [door.pose.position[:2] for door in tagged(poses, "door")]
+    for wanted in ((2.45, 5.3), (4.05, 3.95), (6.45, 3.95), (7.45, 5.3)):
+        assert min(math.dist(wanted, door) for door in doors) < 0.2, wanted
+
+
+def test_boxes_of_free_places_and_starts_hold_nothing_but_floor(flat: SceneSpec, poses: tuple[NamedPose, ...]) -> None:
+    floor = scene_floor_map(flat, robot_height=0.5)
+    for pose in [*tagged(poses, "start"), *tagged(poses, "free")]:
+        assert pose.low[0] < 0.0 < pose.high[0]
+        grid = np.array(list(itertools.product(*(np.linspace(pose.low[i], pose.high[i], 9) * 0.99 for i in (0, 1)), [0.0])))
+        world = transform_points(matrix_from_pose(pose.pose), grid)
+        assert floor.free[tuple(floor.cells(world[:, :2]).T)].all(), pose.name
+
+
+def test_free_places_are_far_from_each_other(poses: tuple[NamedPose, ...]) -> None:
+    places = [pose.pose.position for pose in tagged(poses, "free")]
+    assert min(math.dist(a, b) for a, b in itertools.combinations(places, 2)) > 1.5
+
+
+def test_room_is_not_larger_than_its_box(poses: tuple[NamedPose, ...]) -> None:
+    for room in tagged(poses, "room"):
+        area = float(room.description.split()[2])
+        assert area <= (room.high[0] - room.low[0]) * (room.high[1] - room.low[1])
+        assert room.low[0] < 0.0 < room.high[0]
+
+
+def test_equal_scenes_have_equal_poses(flat: SceneSpec, poses: tuple[NamedPose, ...]) -> None:
+    assert named_poses(replace(flat, revision=9)) == poses
+
+
+def test_scene_without_a_floor_has_its_start_poses_alone() -> None:
+    scene = SceneSpec("void", Path("/nowhere"), "0", (), (), starts=(StartPose("here", Pose((1.0, 2.0, 3.0))),))
+    assert [pose.name for pose in named_poses(scene)] == ["here"]
