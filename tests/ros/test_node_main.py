@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from typing import Any
 
 import pytest
@@ -10,29 +12,47 @@ from support.simulation import require
 
 require("rclpy", "gibson_msgs")
 
-import rclpy  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
-from gibson_sim.ros.node_main import run_node  # noqa: E402
+from gibson_sim.ros.node_main import goes_on, run_node  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros_domain")]
 
 
 class Talker(Node):
-    """Publishes once more after something has ended the context, as a callback does that a signal interrupts."""
+    """Gets a signal in the middle of what it does, publishes once more, and says whether it should go on."""
 
     def __init__(self) -> None:
         super().__init__("talker")
+        self.number = signal.SIGINT
         self._publisher = self.create_publisher(String, "talk", 1)
 
     def spin(self) -> int:
-        rclpy.shutdown()
+        before = goes_on()
+        os.kill(os.getpid(), self.number)
         self._publisher.publish(String(data="late"))
-        return 0
+        return 0 if before and not goes_on() else 5
 
     def close(self) -> None:
         pass
+
+
+class Terminated(Talker):
+    """The same, with the other signal."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.number = signal.SIGTERM
+
+
+class Stuck(Talker):
+    """Does not look whether it should go on."""
+
+    def spin(self) -> int:
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+        return 7
 
 
 class Broken(Talker):
@@ -49,8 +69,24 @@ def ended(make: Any) -> Any:
     return end.value.code
 
 
-def test_a_message_that_a_signal_overtakes_is_no_error() -> None:
+def test_a_message_that_a_signal_overtakes_is_sent_and_the_node_is_asked_to_end() -> None:
     assert ended(Talker) == 0
+    assert ended(Terminated) == 0
+
+
+def test_second_signal_ends_a_node_at_once() -> None:
+    assert ended(Stuck) == 0
+
+
+def test_signal_while_a_node_is_made_ends_it_at_once_and_handlers_are_put_back() -> None:
+    before = signal.getsignal(signal.SIGINT)
+
+    def make() -> Any:
+        os.kill(os.getpid(), signal.SIGINT)
+        raise AssertionError("the signal did not end it")
+
+    assert ended(make) == 0
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_what_rclpy_refuses_is_not_swallowed() -> None:

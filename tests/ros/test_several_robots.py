@@ -73,6 +73,11 @@ def renderers(sim: Launched) -> Iterator[dict[str, LaunchedNode]]:
         assert node.stop() == 0, "\n".join(node.lines)
 
 
+def _publishers(listener: Listener, topic: str) -> list[str]:
+    """Returns the nodes that publish a topic."""
+    return [info.node_name for info in listener.node.get_publishers_info_by_topic(topic)]
+
+
 def _with_publishers(listener: Listener) -> set[str]:
     """Returns the topics that somebody publishes."""
     return {name for name, _ in listener.node.get_topic_names_and_types() if listener.node.count_publishers(name)}
@@ -158,10 +163,9 @@ def test_command_moves_the_robot_that_it_is_for_alone(sim: Launched, listener: L
 def test_every_camera_is_drawn_by_its_own_node(renderers: dict[str, LaunchedNode], listener: Listener) -> None:
     for name in ROBOTS:
         for topic in ("image_raw", "camera_info", "depth/image_raw", "depth/camera_info"):
-            full = f"{name}/camera/{topic}"
-            listener.spin_until(lambda full=full: listener.node.count_publishers(full) > 0, full)  # type: ignore[misc]
-            publishers = listener.node.get_publishers_info_by_topic(f"/{full}")
-            assert [info.node_name for info in publishers] == [f"render_{name}"]
+            full = f"/{name}/camera/{topic}"
+            # A publisher is known a moment before the name of its node.
+            listener.spin_until(lambda full=full, name=name: _publishers(listener, full) == [f"render_{name}"], full)  # type: ignore[misc]
     assert not [topic for topic in _with_publishers(listener) if topic.startswith("/camera")]
 
 

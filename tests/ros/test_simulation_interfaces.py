@@ -300,6 +300,15 @@ def test_endless_steps_leave_the_server_alive_and_end_when_it_is_paused(start: C
     assert f"of {HUGE} steps" in steps.result().result.error_message
 
 
+def test_client_that_goes_away_during_its_steps_does_no_harm(start: Client, other_listener: Listener) -> None:
+    gone = Client(other_listener)
+    gone.send(srv.StepSimulation, steps=HUGE)
+    other_listener.spin_until(lambda: gone.now_ns() > 0, "steps")
+    other_listener.node.destroy_node()
+    assert start.set_state(PAUSED) == OK
+    assert start.code(srv.StepSimulation) == OK
+
+
 def goal(client: Client, steps: int, feedback: Callable[[Any], None] | None = None) -> Any:
     """Returns the handle of a goal that was accepted, and its client, which must live as long."""
     actions = ActionClient(client.listener.node, SimulateSteps, "simulate_steps")

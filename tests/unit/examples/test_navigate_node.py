@@ -190,7 +190,7 @@ def test_wrong_goal_is_refused_at_the_start(context: Any) -> None:
 def test_map_that_is_turned_is_refused() -> None:
     msg = map_msg()
     msg.info.origin.orientation.z, msg.info.origin.orientation.w = math.sin(0.5), math.cos(0.5)
-    with pytest.raises(MapError, match="turned by 57.3 degrees"):
+    with pytest.raises(MapError, match=r"turned by 57\.3 degrees"):
         conversions.grid_from(msg)
 
 

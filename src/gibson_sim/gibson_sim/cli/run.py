@@ -8,7 +8,7 @@ import shutil
 import sys
 import tempfile
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +63,9 @@ def add_parser(subparsers: Any) -> None:
         ),
     )
     add_settings(
-        parser, RenderConfig, ("egl_device", "egl_uuid", "egl_library", "cameras", "detail_px", "compress_textures", "cache")
+        parser,
+        RenderConfig,
+        tuple(f.name for f in fields(RenderConfig) if f.name != "summary_path"),
     )
     parser.add_argument("--no-render", action="store_true", help="physics alone, no images")
     drive = parser.add_argument_group("drive")

@@ -10,11 +10,9 @@ import termios
 import tty
 from typing import Any
 
-import rclpy
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 
 from gibson_sim.config import DriveConfig
@@ -22,7 +20,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.path_tracking import PathFollower, ScriptedDrive, scripted_drive
 from gibson_sim.ros import conversions, names, qos
-from gibson_sim.ros.node_main import run_node
+from gibson_sim.ros.node_main import run_node, spin_while
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.placement import robot_floor_map
@@ -105,11 +103,7 @@ class DriveNode(Node):
 
     def spin(self) -> int:
         """Drives until the drive is done or the context ends; returns the exit code."""
-        try:
-            while rclpy.ok() and not self._done:
-                rclpy.spin_once(self, timeout_sec=0.5)
-        except (KeyboardInterrupt, ExternalShutdownException):
-            pass
+        spin_while(self, lambda: not self._done)
         return 0
 
     def close(self) -> None:

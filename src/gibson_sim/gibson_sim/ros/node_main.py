@@ -10,12 +10,13 @@ import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import rclpy
-from rclpy._rclpy_pybind11 import RCLError
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 
 from gibson_sim.errors import GibsonSimError
 
@@ -49,6 +50,39 @@ def end_with_parent() -> None:
         sys.exit(1)
 
 
+class _Signals:
+    """SIGINT and SIGTERM: while a node spins they ask it to end after what it is doing, a second one ends it at once.
+
+    rclpy's own handlers would end the context in the middle of a callback that is about to publish.
+    """
+
+    def __init__(self) -> None:
+        self.spinning = self.asked = False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> None:
+        self.spinning = self.asked = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._before[number] = signal.signal(number, self._on_signal)
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if self.asked or not self.spinning:
+            raise KeyboardInterrupt
+        self.asked = True
+
+
+_signals = _Signals()
+
+
+def goes_on() -> bool:
+    """Returns whether nobody has asked this process to end: the condition of every node's loop."""
+    return rclpy.ok() and not _signals.asked
+
+
 def run_node(make: Callable[[], Any], args: list[str] | None = None) -> None:
     """Makes the node, calls its ``spin() -> exit code`` and, whatever happens, its ``close()``.
 
@@ -58,35 +92,32 @@ def run_node(make: Callable[[], Any], args: list[str] | None = None) -> None:
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(levelname)s %(message)s")
     end_with_parent()
     keep_large_blocks()
-    rclpy.init(args=args)
+    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     node, code = None, 0
-    try:
-        node = make()
-        code = node.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except RCLError:
-        # A signal ends the context at once, also in the middle of a callback that is about to publish.
-        if rclpy.ok():
-            raise
-    except GibsonSimError as error:
-        print(f"error: {error}", file=sys.stderr)
-        code = 1
-    finally:
-        if node is not None:
-            node.close()
-            node.destroy_node()
-        rclpy.try_shutdown()
+    with _signals:
+        try:
+            node = make()
+            _signals.spinning = True
+            code = node.spin()
+        except KeyboardInterrupt:
+            pass
+        except GibsonSimError as error:
+            print(f"error: {error}", file=sys.stderr)
+            code = 1
+        finally:
+            if node is not None:
+                node.close()
+                node.destroy_node()
+            rclpy.try_shutdown()
     sys.exit(code)
 
 
-def spin_forever(node: Node) -> int:
-    """Spins until the context ends; returns 0."""
-    try:
-        rclpy.spin(node)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    return 0
+def spin_while(node: Node, wanted: Callable[[], bool] = lambda: True) -> None:
+    """Lets the node work as long as ``wanted()`` and nobody asks the process to end; looks at both several times a second."""
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    while goes_on() and wanted():
+        executor.spin_once(timeout_sec=0.1)
 
 
 def write_summary(path: str, summary: dict[str, Any]) -> None:

@@ -7,11 +7,10 @@ import time
 from dataclasses import replace
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import Executor, ExternalShutdownException
+from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.timer import Timer
@@ -25,7 +24,7 @@ from gibson_sim.resources import find_config
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.fast_publish import FastClock
-from gibson_sim.ros.node_main import run_node, started_by_launcher, write_summary
+from gibson_sim.ros.node_main import goes_on, run_node, started_by_launcher, write_summary
 from gibson_sim.ros.pacing import Pacer
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.ros.robot_interface import RobotInterface
@@ -195,11 +194,8 @@ class PhysicsNode(Node):
         self.create_timer(0.2, self._give_way_while_young, clock=steady)
         self.create_timer(1.0, self._world_topics.give_way, clock=steady)
         self._last_report = (time.monotonic_ns(), self._stamp_ns)
-        try:
-            while rclpy.ok() and not self._done:
-                executor.spin_once(timeout_sec=0.5)
-        except (KeyboardInterrupt, ExternalShutdownException):
-            pass
+        while goes_on() and not self._done:
+            executor.spin_once(timeout_sec=0.5)
         return 0
 
     def _set_timer(self) -> None:
@@ -260,7 +256,7 @@ class PhysicsNode(Node):
         cameras = self._world_topics.cameras
         images = [names.camera_topics(camera.name)[output] for camera in cameras for output in camera.outputs]
         wanted.update(dict.fromkeys(images, count))
-        while rclpy.ok():
+        while goes_on():
             missing = {topic: count for topic, count in wanted.items() if self.count_subscribers(topic) < count}
             if not missing:
                 return

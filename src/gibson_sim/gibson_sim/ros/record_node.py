@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from functools import partial
 from importlib import import_module
 from typing import Any, cast
 
-import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -19,12 +16,14 @@ from gibson_sim.bags.writer import BagWriter, Compression
 from gibson_sim.config import RecordConfig
 from gibson_sim.errors import ConfigError, RecordError
 from gibson_sim.ros import conversions, names, qos
-from gibson_sim.ros.node_main import run_node, write_summary
+from gibson_sim.ros.node_main import run_node, spin_while, write_summary
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.types import NS_PER_S
 
 DEPTH = 200
 """Messages of a topic that may wait for the disk."""
+PATIENCE_S = 30.0
+"""Without /clock for so long, a user wants to know why nothing is recorded."""
 
 
 class RecordNode(Node):
@@ -67,7 +66,7 @@ class RecordNode(Node):
         found = dict(self.get_topic_names_and_types())
         state = self.resolve_topic_name(names.SCENE_STATE)
         for topic in sorted(found, key=lambda t: t == state):
-            if topic in self._seen or (self._wanted and topic not in self._wanted):
+            if topic in self._seen or (topic not in self._wanted if self._wanted else names.is_derived(topic)):
                 continue
             publishers = self.get_publishers_info_by_topic(topic)
             if topic == names.CLOCK or not publishers:
@@ -139,19 +138,13 @@ class RecordNode(Node):
 
     def spin(self) -> int:
         """Records until the context ends, ``duration`` has passed or the disk is full; returns the exit code."""
-        started = time.monotonic()
-        warned = False
-        try:
-            while rclpy.ok() and not self._done:
-                rclpy.spin_once(self, timeout_sec=0.2)
-                if not warned and not self._now_ns and time.monotonic() - started > 30.0:
-                    self.get_logger().warning(
-                        "nothing is recorded yet: no /clock arrives; is a simulation running in this domain?"
-                    )
-                    warned = True
-        except (KeyboardInterrupt, ExternalShutdownException):
-            pass
+        self.create_timer(PATIENCE_S, self._complain_without_clock, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        spin_while(self, lambda: not self._done)
         return 1 if self._error else 0
+
+    def _complain_without_clock(self) -> None:
+        if not self._now_ns:
+            self.get_logger().warning("nothing is recorded yet: no /clock arrives; is a simulation running in this domain?")
 
     def close(self) -> None:
         """Closes the bag."""

@@ -21,7 +21,7 @@ from gibson_sim.render.context import open_context
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.camera_publisher import REGISTERED, CameraPublisher
-from gibson_sim.ros.node_main import run_node, spin_forever, write_summary
+from gibson_sim.ros.node_main import run_node, spin_while, write_summary
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.ros.render_stats import RenderStats
 from gibson_sim.scenes.asset_paths import with_local_files
@@ -253,7 +253,8 @@ class RenderNode(Node):
 
     def spin(self) -> int:
         """Draws until the context ends; returns the exit code."""
-        return spin_forever(self)
+        spin_while(self)
+        return 0
 
     def _publish_diagnostics(self) -> None:
         if self._renderer is None:

@@ -10,9 +10,7 @@ from typing import Any
 
 import cv2
 import numpy as np
-import rclpy
 from numpy.typing import NDArray
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from sensor_msgs.msg import Image
 
@@ -20,7 +18,7 @@ from gibson_msgs.msg import Scene
 from gibson_sim.config import SnapshotConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.ros import conversions, names, qos
-from gibson_sim.ros.node_main import run_node
+from gibson_sim.ros.node_main import run_node, spin_while
 from gibson_sim.ros.params import config_from_parameters
 
 _ARRAYS = ("position", "flow")
@@ -80,16 +78,17 @@ class SnapshotNode(Node):
     def spin(self) -> int:
         """Works until every camera sent an image; returns 1 where one did not within ``timeout``."""
         deadline = time.monotonic() + self._config.timeout
-        try:
-            while rclpy.ok() and (self._missing or not self._scene_seen):
-                if time.monotonic() > deadline:
-                    what = f"no image on {', '.join(self._missing)}" if self._scene_seen else "no scene: is a simulation running?"
-                    print(f"error: {what} (waited {self._config.timeout:g} s)", file=sys.stderr)
-                    return 1
-                rclpy.spin_once(self, timeout_sec=0.2)
-        except (KeyboardInterrupt, ExternalShutdownException):
-            return 1
-        return 0
+        spin_while(self, lambda: self._is_waiting and time.monotonic() < deadline)
+        if not self._is_waiting:
+            return 0
+        if time.monotonic() >= deadline:
+            what = f"no image on {', '.join(self._missing)}" if self._scene_seen else "no scene: is a simulation running?"
+            print(f"error: {what} (waited {self._config.timeout:g} s)", file=sys.stderr)
+        return 1
+
+    @property
+    def _is_waiting(self) -> bool:
+        return bool(self._missing) or not self._scene_seen
 
     def close(self) -> None:
         """Holds nothing."""

@@ -43,9 +43,7 @@ FEATURES = (
     Feature("STEP_SIMULATION_SINGLE", 31, True, "`step_simulation`: a step is one of physics, `1 / step_hz` s"),
     Feature("STEP_SIMULATION_MULTIPLE", 32, True, "as fast as the machine can; other services answer meanwhile"),
     Feature("STEP_SIMULATION_ACTION", 33, True, "`simulate_steps`: feedback after each step, can be cancelled"),
-    Feature(
-        "WORLD_LOADING", 40, True, "`load_world`; the new world has the robots that its own file names, often none: spawn them"
-    ),
+    Feature("WORLD_LOADING", 40, True, "`load_world`; the new world has no robot: spawn one"),
     Feature("WORLD_RESOURCE_STRING", 41, True, "SDF as text"),
     Feature("WORLD_TAGS", 42, True, "`get_available_worlds` filters by them"),
     Feature("WORLD_UNLOADING", 43, True, "`unload_world`"),
