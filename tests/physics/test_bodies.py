@@ -196,3 +196,20 @@ def test_thousands_of_bodies_come_and_go_without_a_trace() -> None:
             world.remove(f"a{i}")
         assert world.names == ()
         world.step()
+
+
+def test_state_of_one_body_is_that_of_the_whole_to_the_bit() -> None:
+    with PhysicsWorld(SCENE) as world:
+        for name, x in (("a", 0.0), ("b", 1.0), ("c", 2.0)):
+            world.add_body(cube(name, pose_from_xyz_rpy((x, 0.0, 0.5), (0.1, x, 0.0))))
+        world.step(30)
+        alone = world.state_of("b")
+        whole = world.state()
+        assert alone.links == ("b/body",)
+        assert (alone.stamp_ns, alone.step, alone.revision) == (whole.stamp_ns, whole.step, whole.revision)
+        for part, all_ in (
+            (alone.positions, whole.positions),
+            (alone.quats_xyzw, whole.quats_xyzw),
+            (alone.twists, whole.twists),
+        ):
+            assert part[0].tobytes() == all_[1].tobytes()

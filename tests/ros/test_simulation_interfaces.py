@@ -309,9 +309,9 @@ def test_client_that_goes_away_during_its_steps_does_no_harm(start: Client, othe
     assert start.code(srv.StepSimulation) == OK
 
 
-def goal(client: Client, steps: int, feedback: Callable[[Any], None] | None = None) -> Any:
+def goal(client: Client, steps: int, feedback: Callable[[Any], None] | None = None, actions: Any = None) -> Any:
     """Returns the handle of a goal that was accepted, and its client, which must live as long."""
-    actions = ActionClient(client.listener.node, SimulateSteps, "simulate_steps")
+    actions = actions or ActionClient(client.listener.node, SimulateSteps, "simulate_steps")
     client.listener.spin_until(actions.server_is_ready, "action server")
     sent = actions.send_goal_async(SimulateSteps.Goal(steps=steps), feedback_callback=feedback)
     client.listener.spin_until(sent.done, "goal")
@@ -326,8 +326,14 @@ def result_of(client: Client, handle: Any) -> Any:
 
 
 def test_action_tells_every_step_and_succeeds(start: Client) -> None:
+    first: list[Any] = []
     seen: list[tuple[int, int]] = []
-    handle, actions = goal(start, 8, lambda m: seen.append((m.feedback.completed_steps, m.feedback.remaining_steps)))
+    # The server's first feedback is lost while it has not found the client yet.
+    handle, actions = goal(start, HUGE, first.append)
+    start.listener.spin_until(lambda: bool(first), "feedback")
+    assert start.code(srv.ResetSimulation) == OK
+    assert result_of(start, handle).status == GoalStatus.STATUS_ABORTED
+    handle, _ = goal(start, 8, lambda m: seen.append((m.feedback.completed_steps, m.feedback.remaining_steps)), actions=actions)
     ended = result_of(start, handle)
     start.listener.spin_until(lambda: len(seen) == 8, "feedback")
     assert seen == [(i, 8 - i) for i in range(1, 9)]

@@ -187,6 +187,11 @@ def test_wrong_goal_is_refused_at_the_start(context: Any) -> None:
         Fed(context, goal="kitchen")
 
 
+def test_goal_that_is_read_as_a_number_is_refused_in_one_line(context: Any) -> None:
+    with pytest.raises(SettingError, match=r"^parameter goal is 7\.4, must be of type str"):
+        Fed(context, goal=7.4)
+
+
 def test_map_that_is_turned_is_refused() -> None:
     msg = map_msg()
     msg.info.origin.orientation.z, msg.info.origin.orientation.w = math.sin(0.5), math.cos(0.5)

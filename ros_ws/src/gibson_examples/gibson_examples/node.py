@@ -10,6 +10,7 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped, Twist, TwistStamped
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan
@@ -58,7 +59,9 @@ class NavigateNode(Node):
             SettingError: a parameter cannot be used.
         """
         super().__init__("navigate", **kwargs)
-        values = {f.name: self.declare_parameter(f.name, f.default).value for f in fields(NavigationSettings)}
+        # Any type is let in here, so that the settings refuse a wrong one in their own words.
+        any_type = ParameterDescriptor(dynamic_typing=True, read_only=True)
+        values = {f.name: self.declare_parameter(f.name, f.default, any_type).value for f in fields(NavigationSettings)}
         self._settings = s = NavigationSettings(**values)
         self._pursuit = PursuitSettings(max_linear=s.max_linear, max_angular=s.max_angular)
         self._tf = TransformBuffer()

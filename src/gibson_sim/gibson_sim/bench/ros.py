@@ -49,8 +49,9 @@ class Listener:
     """A node that does nothing of its own."""
 
     executor: str
-    """standard or events."""
+    """standard or events; ``polled``: it is not woken, and takes the newest /clock when it wants to know the time."""
     use_sim_time: bool
+    """For ``polled``: whether it subscribes to /clock."""
     parameter_services: bool = True
     """Whether others can see and set its parameters: six services that the standard executor waits for as well."""
 
@@ -61,6 +62,7 @@ LISTENERS = (
     Listener("standard", True, parameter_services=False),
     Listener("events", False),
     Listener("events", True),
+    Listener("polled", True),
 )
 
 

@@ -219,15 +219,24 @@ class PhysicsWorld:
         """Returns the poses of all links now; its arrays are read-only and stay as they are."""
         self._bullet.check_open()
         if self._state is None:
-            parts = [robot.link_states(self._bullet) for robot in self._all()]
-            positions, quats, twists = (
-                np.concatenate([part[i] for part in parts]) if parts else np.zeros((0, width))
-                for i, width in enumerate((3, 4, 6))
-            )
-            for array in (positions, quats, twists):
-                array.setflags(write=False)
-            self._state = SceneState(self.stamp_ns, self._step_count, self.scene.revision, self.links, positions, quats, twists)
+            self._state = self._state_of(self._all(), self.links)
         return self._state
+
+    def state_of(self, name: str) -> SceneState:
+        """Returns the poses of at least the links of one robot or body now: what a sensor needs between two states."""
+        if self._state is not None:
+            return self._state
+        one = self._one(name)
+        return self._state_of((one,), tuple(f"{name}/{link}" for link in one.links))
+
+    def _state_of(self, bodies: Sequence[BodyInWorld], links: tuple[str, ...]) -> SceneState:
+        parts = [body.link_states(self._bullet) for body in bodies]
+        positions, quats, twists = (
+            np.concatenate([part[i] for part in parts]) if parts else np.zeros((0, width)) for i, width in enumerate((3, 4, 6))
+        )
+        for array in (positions, quats, twists):
+            array.setflags(write=False)
+        return SceneState(self.stamp_ns, self._step_count, self.scene.revision, links, positions, quats, twists)
 
     def base_pose(self, robot: str) -> Pose:
         """Returns T_world_base."""

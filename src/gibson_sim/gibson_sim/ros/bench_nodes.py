@@ -16,6 +16,7 @@ from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 
@@ -154,6 +155,8 @@ def clock_source(hz: float) -> None:
 
 def listener(executor: str, use_sim_time: bool, parameter_services: bool, seconds: float) -> dict[str, Any]:
     """Does nothing. Returns ``cpu_percent``, ``seconds``, and ``clock_s``: how far its clock got meanwhile."""
+    if executor == "polled":
+        return _polling_listener(seconds)
     node = Node(
         "bench_listener",
         parameter_overrides=[Parameter("use_sim_time", value=use_sim_time)],
@@ -171,6 +174,30 @@ def listener(executor: str, use_sim_time: bool, parameter_services: bool, second
         "seconds": passed,
         "clock_s": (node.get_clock().now().nanoseconds - clock) / NS_PER_S if use_sim_time else 0.0,
     }
+
+
+def _polling_listener(seconds: float) -> dict[str, Any]:
+    """Does nothing either, but takes the newest /clock when it wants to know the time: no executor is woken."""
+    node = Node("bench_listener", start_parameter_services=False)
+    profile = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+    handle = node.create_subscription(Clock, names.CLOCK, lambda msg: None, profile).handle
+    found: list[int] = []
+
+    def look() -> bool:
+        with handle:
+            taken = handle.take_message(Clock, False)
+        if taken is not None:
+            found.append(conversions.time_from_msg(taken[0].clock))
+        return taken is not None
+
+    _wait(look, None)
+    time.sleep(WARM_UP_S)
+    look()
+    wall, cpu, first = time.monotonic(), _cpu_s(), found[-1]
+    time.sleep(seconds)
+    passed, used = time.monotonic() - wall, _cpu_s() - cpu
+    look()
+    return {"cpu_percent": 100.0 * used / passed, "seconds": passed, "clock_s": (found[-1] - first) / NS_PER_S}
 
 
 def pipeline_sink(topics: list[str], seconds: float) -> dict[str, Any]:

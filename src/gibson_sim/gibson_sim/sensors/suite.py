@@ -27,8 +27,8 @@ logger = logging.getLogger(__name__)
 class World(Protocol):
     """``PhysicsWorld``, as far as sensors need it."""
 
-    def state(self) -> SceneState:
-        """Returns the poses of all links now."""
+    def state_of(self, name: str, /) -> SceneState:
+        """Returns the poses of at least the links of one body now."""
 
     def cast_rays(
         self, origins: NDArray[np.float64], directions: NDArray[np.float64], range_max: float, ignore: str | None = None, /
@@ -89,7 +89,7 @@ class SensorSuite:
             *(_Task(spec.name, "scans", _Timer(spec.rate_hz, step_hz, tick), self._scan(spec)) for spec in sensors.lidars),
             *(_Task(spec.name, "clouds", _Timer(spec.rate_hz, step_hz, tick), self._cloud(spec)) for spec in sensors.lidars_3d),
             *(_Task(spec.name, "bumpers", _Timer(spec.rate_hz, step_hz, tick), self._bumper(spec)) for spec in sensors.bumpers),
-            *(_Task(imu.spec.name, "imus", _Timer(imu.spec.rate_hz, step_hz, 1), _imu(imu)) for imu in self._imus),
+            *(_Task(imu.spec.name, "imus", _Timer(imu.spec.rate_hz, step_hz, 1), _imu(imu, robot.name)) for imu in self._imus),
         ]
         if self._battery is not None:
             spec = self._battery.spec
@@ -140,14 +140,15 @@ class SensorSuite:
 
     def _scan(self, spec: LidarSpec) -> _Read:
         noise = self._noise(spec)
-        return lambda world, step, stamp_ns: measure_scan(spec, world.state(), world.cast_rays, noise)
+        return lambda world, step, stamp_ns: measure_scan(spec, world.state_of(self._robot.name), world.cast_rays, noise)
 
     def _cloud(self, spec: Lidar3DSpec) -> _Read:
         noise = self._noise(spec)
-        return lambda world, step, stamp_ns: measure_cloud(spec, world.state(), world.cast_rays, noise)
+        return lambda world, step, stamp_ns: measure_cloud(spec, world.state_of(self._robot.name), world.cast_rays, noise)
 
     def _bumper(self, spec: BumperSpec) -> _Read:
-        return lambda world, step, stamp_ns: measure_bumper(spec, world.state(), world.contacts(self._robot.name))
+        name = self._robot.name
+        return lambda world, step, stamp_ns: measure_bumper(spec, world.state_of(name), world.contacts(name))
 
     def _drain(self, world: World, step: int, stamp_ns: int) -> BatteryReading:
         assert self._battery is not None
@@ -161,8 +162,8 @@ class SensorSuite:
         return reading
 
 
-def _imu(imu: Imu) -> _Read:
-    return lambda world, step, stamp_ns: imu.measure(world.state())
+def _imu(imu: Imu, robot: str) -> _Read:
+    return lambda world, step, stamp_ns: imu.measure(world.state_of(robot))
 
 
 class _Timer:
