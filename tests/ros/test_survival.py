@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -45,11 +45,25 @@ def room(tmp_path: Path) -> list[str]:
 
 
 @pytest.fixture
-def sim(ros_domain: int, room: list[str]) -> Iterator[Launched]:
-    launched = Launched(*room)
+def start(ros_domain: int, room: list[str]) -> Iterator[Callable[..., Launched]]:
+    """Starts a run in the room; whatever a test leaves running is ended, and what it said is shown."""
+    runs: list[Launched] = []
+
+    def begin(*options: str) -> Launched:
+        runs.append(Launched(*room, *options))
+        return runs[-1]
+
+    yield begin
+    for run in runs:
+        run.stop()
+        print("\n".join(run.lines))
+
+
+@pytest.fixture
+def sim(start: Callable[..., Launched]) -> Launched:
+    launched = start()
     launched.wait_for_line("triangles")
-    yield launched
-    assert launched.stop() == 0, "\n".join(launched.lines)
+    return launched
 
 
 def _spawn(control: Control, name: str, rgb: str, y: float) -> None:
@@ -108,8 +122,8 @@ def test_time_goes_on_while_the_renderer_is_gone(sim: Launched, listener: Listen
     assert steps == list(range(steps[0], steps[-1] + 1, 4)), "not one tick is missing"
 
 
-def test_renderer_that_dies_again_and_again_ends_the_run(ros_domain: int, room: list[str]) -> None:
-    launched = Launched(*room)
+def test_renderer_that_dies_again_and_again_ends_the_run(start: Callable[..., Launched]) -> None:
+    launched = start()
     for attempt in range(MAX_RESTARTS + 1):
         lines = len(launched.lines) if attempt else 0
         launched.wait_for_line("triangles", after=lines)
@@ -120,9 +134,9 @@ def test_renderer_that_dies_again_and_again_ends_the_run(ros_domain: int, room: 
     assert any(line.startswith("error: the render node ended with code -9") for line in launched.lines)
 
 
-def test_bag_is_whole_when_physics_is_killed(ros_domain: int, room: list[str], listener: Listener, tmp_path: Path) -> None:
+def test_bag_is_whole_when_physics_is_killed(start: Callable[..., Launched], listener: Listener, tmp_path: Path) -> None:
     bag = tmp_path / "bag"
-    launched = Launched(*room, "--no-render", "--record", str(bag))
+    launched = start("--no-render", "--record", str(bag))
     odometry = listener.collect(Odometry, "odom", DEEP)
     listener.spin_until(lambda: bool(odometry) and step_of(stamp_ns(odometry[-1])) > 480, "two seconds")
     os.kill(launched.node_pid("physics"), signal.SIGKILL)
@@ -140,11 +154,11 @@ def test_bag_is_whole_when_physics_is_killed(ros_domain: int, room: list[str], l
 
 
 def test_run_goes_on_when_the_recorder_is_killed_and_its_bag_can_be_mended(
-    ros_domain: int, room: list[str], listener: Listener, tmp_path: Path
+    start: Callable[..., Launched], listener: Listener, tmp_path: Path
 ) -> None:
     bag = tmp_path / "bag"
     # Images fill a chunk of the bag in a second; what waits for its chunk to be full is lost with the process.
-    launched = Launched(*room, "--record", str(bag))
+    launched = start("--record", str(bag))
     odometry = listener.collect(Odometry, "odom", DEEP)
     listener.spin_until(lambda: bool(odometry) and step_of(stamp_ns(odometry[-1])) > 720, "three seconds")
     os.kill(launched.node_pid("record"), signal.SIGKILL)

@@ -75,3 +75,33 @@ def test_equal_scenes_have_equal_poses(flat: SceneSpec, poses: tuple[NamedPose, 
 def test_scene_without_a_floor_has_its_start_poses_alone() -> None:
     scene = SceneSpec("void", Path("/nowhere"), "0", (), (), starts=(StartPose("here", Pose((1.0, 2.0, 3.0))),))
     assert [pose.name for pose in named_poses(scene)] == ["here"]
+
+
+TWO_FLOORS = """\
+floors: [0.0, 3.0]
+objects:
+  - {name: ground, box: [6, 4, 0.2], pose: {xyz: [3, 2, -0.1]}}
+  - {name: upstairs, box: [6, 2, 0.2], pose: {xyz: [3, 1, 2.9]}}
+  - {name: wall, box: [0.2, 4, 6], pose: {xyz: [-0.1, 2, 3]}}
+starts:
+  - {name: below, xy: [3, 3]}
+  - {name: above, xyz: [3, 1, 3]}
+"""
+
+
+@pytest.fixture
+def house(tmp_path: Path) -> SceneSpec:
+    (tmp_path / "scene.yaml").write_text(TWO_FLOORS)
+    return load_scene(str(tmp_path))
+
+
+def test_every_floor_has_places_of_its_own(house: SceneSpec) -> None:
+    found = named_poses(house)
+    assert (house.floors, house.floor_z) == ((0.0, 3.0), 0.0)
+    for number, z in enumerate((0.0, 3.0)):
+        free = [p for p in found if p.name.startswith(f"floor_{number}/free_")]
+        assert free and {p.pose.position[2] for p in free} == {z}
+        assert all(f"floor_{number}" in p.tags for p in free)
+    # The upper floor covers the lower half of y alone.
+    assert max(p.pose.position[1] for p in found if p.name.startswith("floor_1/free_")) < 2.0
+    assert {p.name: p.tags[1] for p in found if "start" in p.tags} == {"below": "floor_0", "above": "floor_1"}

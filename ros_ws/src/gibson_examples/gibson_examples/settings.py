@@ -47,7 +47,7 @@ class NavigationSettings:
             wanted = (int, float) if isinstance(default, float) else type(default)
             if not isinstance(value, wanted) or (isinstance(value, bool) and not isinstance(default, bool)):
                 raise SettingError(
-                    f"parameter {field.name} is {value!r}, must be of type {type(default).__name__}, such as {default!r}"
+                    f"parameter {field.name} is {value!r}, must be of type {type(default).__name__}, such as {default or '1.5,-2,90'!r}"
                 )
         for name in ("initial_sigma_xy", "initial_sigma_yaw_deg", "transform_tolerance"):
             if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):

@@ -90,7 +90,7 @@ class Plan:
 
     @classmethod
     def quick(cls, parts: tuple[str, ...] = PARTS) -> Plan:
-        """Returns a plan that takes about a minute and a half."""
+        """Returns a plan that takes about four minutes."""
         return cls(
             parts=parts,
             round_trips=500,

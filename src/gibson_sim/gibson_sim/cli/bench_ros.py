@@ -53,7 +53,7 @@ def add_parser(kinds: Any) -> None:
         help="round trips of a state, transport of images, the cost of /clock, images of a running simulation",
         description="Measures what goes between processes, and what waiting for it costs. Nothing else should run meanwhile.",
     )
-    parser.add_argument("--quick", action="store_true", help="fewer and shorter: about two minutes instead of ten")
+    parser.add_argument("--quick", action="store_true", help="fewer and shorter: about four minutes instead of ten")
     parser.add_argument("--only", default="", metavar="A,B", help=f"some of {', '.join(PARTS)} (default: all)")
     parser.add_argument("--scene", help="scene of the running simulation (default: flat)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="JSON file to write")

@@ -30,6 +30,11 @@ def link_name(name: str) -> str:
     return name.rpartition("/")[2]
 
 
+def floor_map(number: int) -> str:
+    """Returns the topic of a floor's map, 0 = the lowest."""
+    return f"floor_{number}/{MAP}"
+
+
 def bumper_wrench(bumper: str) -> str:
     """Returns the topic of the force on a bumper."""
     return f"{bumper}/wrench"

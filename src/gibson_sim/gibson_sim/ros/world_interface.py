@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
@@ -30,7 +31,8 @@ class WorldInterface:
 
     Publishes:
         scene (gibson_msgs/Scene, latched), scene_state (gibson_msgs/SceneState).
-        map (nav_msgs/OccupancyGrid, latched): the floor that robots start on, made from collision shapes.
+        map (nav_msgs/OccupancyGrid, latched): the floor that robots start on, made from collision shapes; where there are more,
+            floor_0/map, floor_1/map and so on, from the lowest.
         simulation_epoch (gibson_msgs/Epoch, latched): how often the simulation was reset.
     """
 
@@ -39,8 +41,8 @@ class WorldInterface:
         self._scene_pub = node.create_publisher(Scene, names.SCENE, **qos.overridable(qos.LATCHED))
         self._state_pub = node.create_publisher(SceneState, names.SCENE_STATE, **qos.overridable(qos.STATE))
         self._epoch_pub = node.create_publisher(Epoch, names.EPOCH, **qos.overridable(qos.LATCHED))
-        self._map_pub: Publisher | None = None
-        self._map_withdrawn = config.map == "off"
+        self._maps: dict[str, Publisher] = {}
+        self._withdrawn = False
         self._fast_state: FastSceneState | None = None
         self._laid_out = -1
         self.cameras: tuple[CameraSpec, ...] = ()
@@ -67,28 +69,36 @@ class WorldInterface:
         self._epoch_pub.publish(Epoch(header=header, epoch=epoch, scope=scope, time_rewound=rewound))
 
     def publish_map(self, world: PhysicsWorld) -> None:
-        """Publishes the map of the world's floor, unless somebody else does."""
-        if self._map_withdrawn or self._gives_way(own=0 if self._map_pub is None else 1):
+        """Publishes the maps of the world's floors; the one named ``map`` only while nobody else publishes one."""
+        self._take_back()
+        if self._config.map == "off":
             return
         scene = world.scene
+        floors = {names.floor_map(i): z for i, z in enumerate(scene.floors)} if len(scene.floors) > 1 else {}
+        if not self._is_foreign(own=0):
+            floors[names.MAP] = scene.floor_z
         height = max((robot.height for robot in scene.robots), default=_MAP_HEIGHT)
-        try:
-            floor = scene_floor_map(scene, robot_height=height, resolution=self._config.map_resolution)
-        except GibsonSimError as error:
-            logger.warning("no map is published: %s", error)
-            return
-        if self._map_pub is None:
-            self._map_pub = self._node.create_publisher(OccupancyGrid, names.MAP, **qos.overridable(qos.LATCHED))
-        self._map_pub.publish(conversions.floor_map_to_msg(floor, scene.floor_z, world.stamp_ns, WORLD_FRAME))
+        for topic, floor_z in floors.items():
+            level = replace(scene, floor_z=floor_z)
+            try:
+                floor = scene_floor_map(level, robot_height=height, resolution=self._config.map_resolution)
+            except GibsonSimError as error:
+                logger.warning("no map is published on %s: %s", topic, error)
+                continue
+            self._maps[topic] = self._node.create_publisher(OccupancyGrid, topic, **qos.overridable(qos.LATCHED))
+            self._maps[topic].publish(conversions.floor_map_to_msg(floor, floor_z, world.stamp_ns, WORLD_FRAME))
 
     def give_way(self) -> None:
-        """Takes the map back once another node publishes one: readers would get both, in any order."""
-        if self._map_pub is not None and self._gives_way(own=1):
-            self._node.destroy_publisher(self._map_pub)
-            self._map_pub = None
+        """Takes ``map`` back once another node publishes it: readers would get both, in any order."""
+        if names.MAP in self._maps and self._is_foreign(own=1):
+            self._node.destroy_publisher(self._maps.pop(names.MAP))
 
-    def _gives_way(self, own: int) -> bool:
-        if self._config.map == "auto" and self._node.count_publishers(names.MAP) > own:
-            self._map_withdrawn = True
+    def _take_back(self) -> None:
+        while self._maps:
+            self._node.destroy_publisher(self._maps.popitem()[1])
+
+    def _is_foreign(self, own: int) -> bool:
+        if self._config.map == "auto" and not self._withdrawn and self._node.count_publishers(names.MAP) > own:
+            self._withdrawn = True
             self._node.get_logger().info("another node publishes the map: ours is withdrawn (setting map = on keeps it)")
-        return self._map_withdrawn
+        return self._withdrawn

@@ -47,6 +47,7 @@ class SceneBuilder:
         self.gravity: Vec3 = (0.0, 0.0, -9.81)
         self.ground_z: float | None = None
         self.floor_z: float | None = None
+        self.floors: tuple[float, ...] = ()
         self.light = LightSpec()
         self.sdf_lamps = False
         self.starts: list[StartPose] = []
@@ -157,7 +158,7 @@ class SceneBuilder:
             floor_z = estimate_floor(*triangles, self.ground_z)
         return SceneSpec(
             self.name, self.root, self.digest(), tuple(self.visuals), tuple(self.collisions), self.ground_z, floor_z,
-            self.gravity, tuple(self.starts), self.light, (), tuple(self.warnings),
+            self.gravity, tuple(self.starts), self.light, (), tuple(self.warnings), other_floors=self.floors,
         )  # fmt: skip
 
     def digest(self) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.scenes.floor_map import FloorMap, scene_floor_map
 from gibson_sim.scenes.rooms import find_rooms
-from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.scenes.spec import SceneSpec, StartPose
 from gibson_sim.types import Pose, Vec3
 
 logger = logging.getLogger(__name__)
@@ -42,30 +43,44 @@ class NamedPose:
 
 
 def named_poses(scene: SceneSpec) -> tuple[NamedPose, ...]:
-    """Returns start poses, free places, rooms and doors, in this order; equal scenes have equal poses.
+    """Returns start poses, free places, rooms and doors of every floor, in this order; equal scenes have equal poses.
 
     The boxes of start poses, free places and doors are free of everything static; that of a room is the smallest about its floor.
     """
     height = max((robot.height for robot in scene.robots), default=DEFAULT_HEIGHT)
     radius = max((robot.radius for robot in scene.robots), default=DEFAULT_RADIUS)
-    try:
-        floor = scene_floor_map(scene, robot_height=height)
-        coarse = scene_floor_map(scene, robot_height=height, resolution=_ROOM_RESOLUTION)
-    except SceneError as error:
-        logger.warning("scene %s: start poses are the only ones with a name: %s", scene.name, error)
-        return tuple(NamedPose(s.name, "start pose", ("start",), s.pose, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)) for s in scene.starts)
-    return (*_starts(scene, floor, height), *_free(scene, floor, radius, height), *_rooms_and_doors(scene, coarse, height))
+    out: list[NamedPose] = []
+    for number, floor_z in enumerate(scene.floors):
+        level, tag = replace(scene, floor_z=floor_z), f"floor_{number}"
+        starts = [s for s in scene.starts if _floor_of(scene, s.pose.position[2]) == number]
+        try:
+            floor = scene_floor_map(level, robot_height=height)
+            coarse = scene_floor_map(level, robot_height=height, resolution=_ROOM_RESOLUTION)
+        except SceneError as error:
+            logger.warning("scene %s: start poses are the only ones with a name on %s: %s", scene.name, tag, error)
+            nowhere = (0.0, 0.0, 0.0)
+            out += [NamedPose(s.name, "start pose", ("start", tag), s.pose, nowhere, nowhere) for s in starts]
+            continue
+        out += _starts(starts, tag, floor, height)
+        out += _free(level, tag, floor, radius, height)
+        out += _rooms_and_doors(level, tag, coarse, height)
+    return tuple(out)
 
 
-def _starts(scene: SceneSpec, floor: FloorMap, height: float) -> list[NamedPose]:
+def _floor_of(scene: SceneSpec, z: float) -> int:
+    """Returns the number of the highest floor that is not above ``z``, with half a metre to spare; else the lowest."""
+    return max((i for i, floor_z in enumerate(scene.floors) if floor_z <= z + 0.5), default=0)
+
+
+def _starts(starts: Sequence[StartPose], tag: str, floor: FloorMap, height: float) -> list[NamedPose]:
     out = []
-    for start in scene.starts:
+    for start in starts:
         clearance = float(floor.clearance(np.array(start.pose.position[:2])))
-        out.append(NamedPose(start.name, "start pose", ("start", "floor_0"), start.pose, *_box(clearance, height)))
+        out.append(NamedPose(start.name, "start pose", ("start", tag), start.pose, *_box(clearance, height)))
     return out
 
 
-def _free(scene: SceneSpec, floor: FloorMap, radius: float, height: float) -> list[NamedPose]:
+def _free(scene: SceneSpec, tag: str, floor: FloorMap, radius: float, height: float) -> list[NamedPose]:
     """Returns free places far from each other: the most open one first, then always the one farthest from all before."""
     region = floor.largest_free_region(radius)
     roomy = region & (floor.distance_to_obstacle >= radius + _SPARE)
@@ -87,13 +102,11 @@ def _free(scene: SceneSpec, floor: FloorMap, radius: float, height: float) -> li
         x, y = (float(c) for c in floor.centers(cell))
         room = float(floor.distance_to_obstacle[tuple(cell)])
         pose = pose_from_xyz_rpy((x, y, scene.floor_z))
-        out.append(
-            NamedPose(f"floor_0/free_{i}", f"{room:.2f} m from the nearest thing", ("free", "floor_0"), pose, *_box(room, height))
-        )
+        out.append(NamedPose(f"{tag}/free_{i}", f"{room:.2f} m from the nearest thing", ("free", tag), pose, *_box(room, height)))
     return out
 
 
-def _rooms_and_doors(scene: SceneSpec, floor: FloorMap, height: float) -> list[NamedPose]:
+def _rooms_and_doors(scene: SceneSpec, tag: str, floor: FloorMap, height: float) -> list[NamedPose]:
     rooms, doors = find_rooms(floor)
     out = []
     for i, room in enumerate(rooms):
@@ -101,11 +114,11 @@ def _rooms_and_doors(scene: SceneSpec, floor: FloorMap, height: float) -> list[N
         low: Vec3 = (room.low[0] - x, room.low[1] - y, 0.0)
         high: Vec3 = (room.high[0] - x, room.high[1] - y, height)
         pose = pose_from_xyz_rpy((x, y, scene.floor_z))
-        out.append(NamedPose(f"floor_0/room_{i}", f"room of {room.area:.1f} m^2", ("room", "floor_0"), pose, low, high))
+        out.append(NamedPose(f"{tag}/room_{i}", f"room of {room.area:.1f} m^2", ("room", tag), pose, low, high))
     for i, door in enumerate(doors):
         pose = pose_from_xyz_rpy((*door.center, scene.floor_z), (0.0, 0.0, door.yaw))
         text = f"door {door.width:.1f} m wide, from room_{door.rooms[0]} to room_{door.rooms[1]}"
-        out.append(NamedPose(f"floor_0/door_{i}", text, ("door", "floor_0"), pose, *_box(door.width / 2, height)))
+        out.append(NamedPose(f"{tag}/door_{i}", text, ("door", tag), pose, *_box(door.width / 2, height)))
     return out
 
 

@@ -19,7 +19,7 @@ from gibson_sim.scenes.yaml_map import YamlMap
 from gibson_sim.types import Pose, Rgba, Vec3
 
 F64 = NDArray[np.float64]
-_SCENE_KEYS = ("name", "description", "gravity", "ground_z", "floor_z", "light", "starts", "objects")
+_SCENE_KEYS = ("name", "description", "gravity", "ground_z", "floor_z", "floors", "light", "starts", "objects")
 _LIGHT_KEYS = (
     "sun_direction", "sun", "sun_color", "shadows", "ambient", "background", "points",
     "environment", "environment_strength", "environment_yaw_deg", "environment_visible",
@@ -52,6 +52,9 @@ def read_scene_yaml(builder: SceneBuilder, path: Path) -> None:
         builder.gravity = (0.0, 0.0, -top.number("gravity", 0.0)) if isinstance(gravity, int | float) else top.vec3("gravity")
     builder.ground_z = None if top.value("ground_z", None) is None else top.number("ground_z", 0.0)
     builder.floor_z = None if top.value("floor_z", None) is None else top.number("floor_z", 0.0)
+    builder.floors = top.floats("floors", len(top.items("floors"))) if top.has("floors") else ()
+    if builder.floors and builder.floor_z is None:
+        builder.floor_z = min(builder.floors)
     builder.light = _light(builder, path, YamlMap(top.value("light", {}) or {}, f"{path}: light", _LIGHT_KEYS))
     for index, item in enumerate(top.items("objects")):
         _object(builder, path, YamlMap(item, f"{path}: objects[{index}]", _OBJECT_KEYS))

@@ -115,6 +115,13 @@ class SceneSpec:
     """Counts what was added or removed since load."""
     bodies: tuple[BodySpec, ...] = ()
     """Things that are no robots and can be moved, added and removed."""
+    other_floors: tuple[float, ...] = ()
+    """Heights of the floors beside ``floor_z``, metres."""
+
+    @property
+    def floors(self) -> tuple[float, ...]:
+        """Heights of all floors, from the lowest, metres."""
+        return tuple(sorted({self.floor_z, *self.other_floors}))
 
 
 @dataclass(frozen=True, slots=True)
