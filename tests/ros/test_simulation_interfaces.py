@@ -334,8 +334,9 @@ def test_action_tells_every_step_and_succeeds(start: Client) -> None:
     assert start.code(srv.ResetSimulation) == OK
     assert result_of(start, handle).status == GoalStatus.STATUS_ABORTED
     handle, _ = goal(start, 8, lambda m: seen.append((m.feedback.completed_steps, m.feedback.remaining_steps)), actions=actions)
-    ended = result_of(start, handle)
+    # The client listens to feedback until it has the result.
     start.listener.spin_until(lambda: len(seen) == 8, "feedback")
+    ended = result_of(start, handle)
     assert seen == [(i, 8 - i) for i in range(1, 9)]
     assert (ended.status, ended.result.result.result) == (GoalStatus.STATUS_SUCCEEDED, OK)
     assert start.now_ns() == 8 * 10**9 // 240

@@ -50,3 +50,8 @@ def test_time_that_stood_still_is_neither_caught_up_nor_lost() -> None:
     pacer.restart()
     assert [pacer.due(t * MS) for t in (9_000, 9_010)] == [0, 1]
     assert pacer.lost_ns == 0
+
+
+def test_without_a_pace_a_burst_is_due_at_any_time() -> None:
+    pacer = Pacer(tick_hz=240, rate=0.0, burst=4)
+    assert [pacer.due(t) for t in (0, 1, 10**12)] == [4, 4, 4]

@@ -20,7 +20,7 @@ MEANING = {
     ExitCode.OK: "done, or stopped by Ctrl-C or SIGTERM",
     ExitCode.ERROR: "it cannot be done: one line on stderr says why",
     ExitCode.USAGE: "the command line is wrong",
-    ExitCode.ALREADY_RUNNING: "a simulation runs in this ROS domain already",
+    ExitCode.ALREADY_RUNNING: "a simulation runs in this ROS domain already; for top: none does",
     ExitCode.NODE_DIED: "a node crashed or was killed",
     ExitCode.RECORDING_ENDED_EARLY: "the run went on, but recording stopped early (disk full); the bag is readable",
 }

@@ -12,9 +12,9 @@ class Pacer:
     given up and counted in ``lost_ns``.
     """
 
-    def __init__(self, tick_hz: int, rate: float, *, max_lag_ns: int = NS_PER_S // 4) -> None:
-        """``rate`` 0 = as fast as possible: one tick is always due."""
-        self._tick_hz, self._rate, self._max_lag_ns = tick_hz, rate, max_lag_ns
+    def __init__(self, tick_hz: int, rate: float, *, max_lag_ns: int = NS_PER_S // 4, burst: int = 1) -> None:
+        """``rate`` 0 = as fast as possible: ``burst`` ticks are always due."""
+        self._tick_hz, self._rate, self._max_lag_ns, self._burst = tick_hz, rate, max_lag_ns, burst
         self._start_ns: int | None = None
         self._ticks = 0
         self.lost_ns = 0
@@ -32,7 +32,7 @@ class Pacer:
     def due(self, now_ns: int) -> int:
         """Returns how many ticks to make now; the first call starts the clock. The caller makes them all."""
         if self._rate == 0.0:
-            return 1
+            return self._burst
         if self._start_ns is None:
             self._start_ns = now_ns
         behind_ns = now_ns - self._start_ns - self._ticks * NS_PER_S / (self._tick_hz * self._rate)

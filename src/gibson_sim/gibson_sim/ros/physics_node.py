@@ -75,7 +75,7 @@ class PhysicsNode(Node):
         rules = load_rules(find_config(config.randomise, "randomisation")) if config.randomise else None
         self._look_for_others()
         self._simulator = Simulator(with_camera_settings(scene, config), config)
-        self._pacer = Pacer(config.step_hz, config.rate)
+        self._pacer = Pacer(config.step_hz, config.rate, burst=config.step_hz // config.publish_hz)
         self._first_step: tuple[int, int] | None = None
         self._last_step, self._last_report = (0, 0), (0, 0)
         self._clock_message = FastClock()

@@ -20,9 +20,10 @@ from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_m
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.ros import conversions, names, qos
-from gibson_sim.ros.fast_publish import FastJointStates, FastOdometry, FastTf, RelativePoses
+from gibson_sim.ros.fast_publish import FastImu, FastJointStates, FastOdometry, FastTf, RelativePoses
 from gibson_sim.ros.stamped_commands import StampedCommands
 from gibson_sim.scenes.spec import WORLD_FRAME
+from gibson_sim.sensors.imu import ImuReading
 from gibson_sim.sensors.suite import Measurements, SensorSuite
 from gibson_sim.types import SceneState
 
@@ -71,6 +72,7 @@ class RobotInterface:
         self._stamped = stamped
         self._stamped_subscription = stamped.subscribe(TwistStamped, self._topic(names.CMD_VEL), self._commands)
         self._rates = {lidar.name: lidar.rate_hz for lidar in robot.sensors.lidars}
+        self._imus: dict[str, FastImu] = {}
         self._laid_out = -1
         self._publish_latched()
 
@@ -183,13 +185,29 @@ class RobotInterface:
         for cloud in measured.clouds:
             self._sensor_pubs[cloud.name].publish(conversions.lidar_cloud_to_msg(cloud, self._frame(cloud.link)))
         for imu in measured.imus:
-            self._sensor_pubs[imu.name].publish(conversions.imu_to_msg(imu, self._frame(imu.link)))
+            self._sensor_pubs[imu.name].publish(self._imu_message(imu))
         for bumper in measured.bumpers:
             pressed, wrench = conversions.bumper_to_msgs(bumper, self._frame(bumper.link))
             self._sensor_pubs[bumper.name].publish(pressed)
             self._sensor_pubs[names.bumper_wrench(bumper.name)].publish(wrench)
         for battery in measured.batteries:
             self._sensor_pubs[battery.name].publish(conversions.battery_to_msg(battery))
+
+    def _imu_message(self, reading: ImuReading) -> bytes:
+        """Returns a sample as bytes; covariances stay those of the first one."""
+        message = self._imus.get(reading.name)
+        if message is None:
+            first = conversions.imu_to_msg(reading, "")
+            covariances = (
+                first.orientation_covariance,
+                first.angular_velocity_covariance,
+                first.linear_acceleration_covariance,
+            )
+            message = FastImu(self._frame(reading.link), *(c.tolist() for c in covariances))
+            self._imus[reading.name] = message
+        quat = reading.orientation_xyzw or (0.0, 0.0, 0.0, 1.0)
+        angular, linear = reading.angular_velocity.tolist(), reading.linear_acceleration.tolist()
+        return message.serialize(reading.stamp_ns, quat, angular, linear)
 
     def _frame(self, link: str) -> str:
         return self.robot.frame_prefix + names.link_name(link)

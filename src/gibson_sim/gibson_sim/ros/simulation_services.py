@@ -38,7 +38,7 @@ from gibson_sim.simulation.stepping import StepRequest
 
 logger = logging.getLogger(__name__)
 
-SPAWNS_AT_ONCE = 20
+SPAWNS_AT_ONCE = 50
 """Entities of one request that are spawned before the loop goes on."""
 QUIT_GRACE_S = 0.3
 """Wall time between the answer to STATE_QUITTING and the end: a writer that is gone cannot repeat what got lost."""
