@@ -17,3 +17,8 @@ def test_what_repeats_another_topic_is_derived_and_images_are_not() -> None:
     repeated = [names.compressed_topic(rgb), names.compressed_depth_topic(depth), names.points_topic("camera")]
     assert all(map(names.is_derived, [*repeated, *names.registered_depth_topics("camera")]))
     assert not any(map(names.is_derived, [rgb, depth, *names.camera_topics("camera").values(), "scan", "lidar/points"]))
+
+
+def test_topics_of_an_action_are_hidden_and_others_are_not() -> None:
+    assert names.is_hidden("/simulate_steps/_action/feedback")
+    assert not names.is_hidden("/left_robot/odom")

@@ -65,6 +65,11 @@ def points_topic(camera: str) -> str:
     return f"{camera}/depth/points"
 
 
+def is_hidden(topic: str) -> bool:
+    """Returns whether ROS hides a topic from its users, as those of actions: a part of its name begins with ``_``."""
+    return "/_" in topic
+
+
 def is_derived(topic: str) -> bool:
     """Returns whether a topic says again, in another form, what another topic of the same camera says."""
     return topic.endswith(

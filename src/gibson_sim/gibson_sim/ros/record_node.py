@@ -66,7 +66,7 @@ class RecordNode(Node):
         found = dict(self.get_topic_names_and_types())
         state = self.resolve_topic_name(names.SCENE_STATE)
         for topic in sorted(found, key=lambda t: t == state):
-            if topic in self._seen or (topic not in self._wanted if self._wanted else names.is_derived(topic)):
+            if topic in self._seen or not self._is_wanted(topic):
                 continue
             publishers = self.get_publishers_info_by_topic(topic)
             if topic == names.CLOCK or not publishers:
@@ -76,6 +76,12 @@ class RecordNode(Node):
         if names.CLOCK in found and names.CLOCK not in self._seen and (not self._wanted or names.CLOCK in self._wanted):
             self._seen.add(names.CLOCK)
             self._writer.add_topic(names.CLOCK, "rosgraph_msgs/msg/Clock", qos.CLOCK)
+
+    def _is_wanted(self, topic: str) -> bool:
+        """Whether to record a topic. Of all topics those are left out that hold what others hold, and hidden ones, as rosbag2 does."""
+        if self._wanted:
+            return topic in self._wanted
+        return not (names.is_derived(topic) or names.is_hidden(topic))
 
     def _record(self, topic: str, publishers: list[Any]) -> None:
         """Subscribes to one topic, as reliable and as latched as its publishers allow."""
