@@ -183,3 +183,14 @@ def test_wheel_joints_turn_forward(make_scene: MakeScene, robot: RobotSpec, driv
         # 0.36 m/s over 0.036 m
         assert joints.velocities == pytest.approx([10.0, 10.0], abs=0.1)
         assert np.all(joints.positions > 15.0)
+
+
+def test_robot_forgets_its_command_when_time_is_set_back(make_scene: MakeScene, robot: RobotSpec) -> None:
+    with PhysicsWorld(make_scene(robot)) as world:
+        world.step(1200)
+        world.command(robot.name, VelocityCommand((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), world.stamp_ns))
+        world.step(60)
+        world.set_step_count(0)
+        world.step(240)
+        assert world.stamp_ns == 10**9
+        assert abs(world.odometry(robot.name).angular) < 0.01

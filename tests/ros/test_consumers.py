@@ -19,7 +19,7 @@ from support.simulation import Launched, Listener, require
 require("rclpy", "gibson_msgs", "simulation_interfaces")
 
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from nav_msgs.msg import MapMetaData, OccupancyGrid, Odometry  # noqa: E402
+from nav_msgs.msg import OccupancyGrid, Odometry  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import LaserScan, PointCloud2  # noqa: E402
 from simulation_interfaces.msg import SimulationState  # noqa: E402
@@ -31,6 +31,7 @@ from gibson_sim.geometry.transforms import matrix_from_pose  # noqa: E402
 from gibson_sim.ros.conversions import pose_from_msg  # noqa: E402
 from support.clients import DEEP, LATCHED, Control, drive_until, stamp_ns, step_of, steps_of  # noqa: E402
 from support.consumers import CLOCK, LATCHED_ROWS, STREAMS, TICK, Heard, Row, hear  # noqa: E402
+from support.maps import cells_of, cells_to_occupied, fixed_transform, hits_of, rows_columns  # noqa: E402
 from support.robots import write_gibson_bot  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -40,6 +41,8 @@ FAST = ("--rate", "5", "--no-render")
 SPEEDS = (*DRAWN, FAST)
 ENOUGH = 8
 """Messages of each stream."""
+SOON = 240
+"""Physics steps after a reset within which every stream is heard of."""
 START = (1.0, 4.7)
 """In the hall of our flat, facing along x."""
 
@@ -240,43 +243,13 @@ def test_twist_of_odometry_is_in_the_child_frame(sim: Launched, listener: Listen
     assert (twist.linear.x, twist.linear.y) == (pytest.approx(ahead, abs=0.02), pytest.approx(left, abs=0.02))
 
 
-def _cells(grid: OccupancyGrid) -> NDArray[np.int8]:
-    info: MapMetaData = grid.info
-    return np.array(grid.data, dtype=np.int8).reshape(info.height, info.width)
-
-
-def _row_column(grid: OccupancyGrid, points: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Returns rows and columns, (N, 2), of points (N, 2) in the map frame."""
-    origin = np.array([grid.info.origin.position.x, grid.info.origin.position.y])
-    return np.floor((points - origin) / grid.info.resolution).astype(np.int64)[:, ::-1]
-
-
 def test_map_is_free_where_the_robot_starts(sim: Launched, listener: Listener) -> None:
     maps = listener.collect(OccupancyGrid, "map", LATCHED)
     listener.spin_until(lambda: bool(maps), "the map")
     grid = maps[0]
     assert grid.info.resolution == pytest.approx(0.05)
-    ((r, c),) = _row_column(grid, np.array([START]))
-    assert (_cells(grid)[r - 1 : r + 2, c - 1 : c + 2] == 0).all()
-
-
-def _base_from(static: TFMessage, frame: str) -> NDArray[np.float64]:
-    """Returns T_base_frame, (4, 4), along the fixed transforms."""
-    by_child = {t.child_frame_id: t for t in static.transforms}
-    matrix = np.eye(4)
-    while frame != "base_footprint":
-        part = by_child[frame].transform
-        step = np.eye(4)
-        q, p = part.rotation, part.translation
-        x, y, z, w = q.x, q.y, q.z, q.w
-        step[:3, :3] = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-        step[:3, 3] = p.x, p.y, p.z
-        matrix, frame = step @ matrix, by_child[frame].header.frame_id
-    return matrix
+    ((r, c),) = rows_columns(grid, np.array([START]))
+    assert (cells_of(grid)[r - 1 : r + 2, c - 1 : c + 2] == 0).all()
 
 
 def test_walls_of_the_map_are_where_the_scan_hits(sim: Launched, listener: Listener) -> None:
@@ -290,15 +263,10 @@ def test_walls_of_the_map_are_where_the_scan_hits(sim: Launched, listener: Liste
     listener.spin_until(lambda: bool(maps and statics) and any(stamp_ns(s) in poses() for s in scans), "map, scan and pose")
     scan = next(s for s in scans if stamp_ns(s) in poses())
     T_map_base = matrix_from_pose(pose_from_msg(poses()[stamp_ns(scan)].pose.pose))
-    ranges = np.array(scan.ranges)
-    angles = scan.angle_min + np.arange(len(ranges)) * scan.angle_increment
-    hit = np.isfinite(ranges)
-    points = np.stack([ranges * np.cos(angles), ranges * np.sin(angles), 0 * ranges, 1 + 0 * ranges], axis=-1)[hit]
-    in_map = (points @ (T_map_base @ _base_from(statics[0], "base_scan")).T)[:, :2]
-    occupied = np.argwhere(_cells(maps[0]) > 50)
-    distance = np.abs(_row_column(maps[0], in_map)[:, None, :] - occupied[None]).max(axis=-1).min(axis=1)
-    assert hit.sum() > 300, "inside a flat nearly every ray meets something"
-    assert (distance <= 2).mean() >= 0.95
+    T_base_scan, points = fixed_transform(statics[0], "base_footprint", "base_scan"), hits_of(scan)
+    assert len(points) > 300, "inside a flat nearly every ray meets something"
+    in_map = (points @ (T_map_base @ T_base_scan).T)[:, :2]
+    assert (cells_to_occupied(maps[0], in_map) <= 2).mean() >= 0.95
 
 
 def test_localiser_alone_connects_map_and_odom(sim: Launched, listener: Listener) -> None:
@@ -350,18 +318,18 @@ def test_step_makes_so_many_physics_steps_and_everything_that_is_due_in_them(
     # The first steps are for the readers to be found by; they end where a scan has just been made.
     listener.spin_until(lambda: control.step(4) or bool(odometry and clock), "answers to steps")
     listener.spin_until(lambda: control.step(24) or bool(scans), "a scan")
-    start = _settled(listener, control, clock)
+    start = _settled(listener, clock)
     control.step(steps)
     listener.spin_until(lambda: step_of(stamp_ns(clock[-1])) >= start + steps, "time")
-    assert _settled(listener, control, clock) == start + steps
+    assert _settled(listener, clock) == start + steps
     assert [s for s in steps_of(odometry) if s > start] == [s for s in range(start + 1, start + steps + 1) if s % 4 == 0]
     assert [s for s in steps_of(scans) if s > start] == [s for s in range(start + 1, start + steps + 1) if s % 24 == 0]
 
 
-def _settled(listener: Listener, control: Control, clock: list[Any]) -> int:
+def _settled(listener: Listener, clock: list[Any]) -> int:
     """Returns the step of a paused simulation: what its clock says when it says nothing more."""
     reports = listener.collect(DiagnosticArray, "/diagnostics")
-    listener.spin_until(lambda: bool(reports), "diagnostics")
+    listener.spin_until(lambda: len(reports) > 1, "two diagnostics")
     return step_of(stamp_ns(clock[-1]))
 
 
@@ -380,11 +348,13 @@ def test_reset_begins_time_again_and_counts_an_epoch(sim: Launched, listener: Li
     assert (epochs[-1].epoch, epochs[-1].time_rewound, stamp_ns(epochs[-1])) == (before + 1, True, 0)
     control.play()
     listener.spin_until(lambda: all(streams.values()), "a message on every topic after the reset")
-    # Images may be skipped on a slow machine; of the rest, a deep queue loses none.
-    rows = {row.topic: row for row in STREAMS if not row.rendered}
-    first = {name: steps_of(messages)[0] for name, messages in streams.items() if name in rows}
-    assert first == {name: min(row.due_steps(240)) for name, row in rows.items()}
-    assert all(a < b for messages in streams.values() for a, b in zip(steps_of(messages), steps_of(messages)[1:], strict=False))
+    due = {row.topic: row.due_steps(SOON) for row in STREAMS}
+    for name, messages in streams.items():
+        steps = steps_of(messages)
+        # The very first may be lost, or an image skipped, where the machine is busy.
+        assert steps[0] <= SOON, name
+        assert steps[0] in due.get(name, {steps[0]}), name
+        assert steps == sorted(set(steps)), name
 
 
 def test_reset_puts_the_robot_back(sim: Launched, listener: Listener, control: Control) -> None:

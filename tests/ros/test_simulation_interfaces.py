@@ -149,9 +149,12 @@ def sim(ros_domain: int, folder: Path) -> Iterator[Launched]:
     assert not any("Traceback" in line for line in launched.lines), "\n".join(launched.lines)
 
 
-@pytest.fixture
-def client(sim: Launched, listener: Listener) -> Client:
-    return Client(listener)
+@pytest.fixture(scope="module")
+def client(sim: Launched, ros_context: Any) -> Iterator[Client]:
+    """One for all tests: that clients and services find each other takes longer than most of the tests."""
+    listener = Listener(ros_context)
+    yield Client(listener)
+    listener.close()
 
 
 @pytest.fixture
@@ -728,10 +731,6 @@ def test_source_that_is_not_there_is_not_found_unless_it_is_to_go_on(start: Clie
 # The end
 
 
-def test_quitting_is_answered_and_ends_the_process_with_zero(ros_domain: int, sim: Launched, listener: Listener) -> None:
-    client = Client(listener)
-    steps = client.send(srv.StepSimulation, steps=HUGE) if client.state == PAUSED else None
+def test_quitting_is_answered_and_ends_the_process_with_zero(sim: Launched, client: Client) -> None:
     assert client.set_state(QUITTING) == OK
-    if steps is not None:
-        listener.spin_until(steps.done, "end of the steps")
     assert sim.wait() == 0, "\n".join(sim.lines)

@@ -67,12 +67,14 @@ def test_errors_of_initial_poses_are_seeded_and_bounded() -> None:
 
 def test_clearance_of_a_track_is_its_smallest() -> None:
     grid = grid_of("#.........", resolution=1.0)
-    assert track_clearance(grid, [(5.5, 0.5), (2.5, 0.5), (7.5, 0.5)]) == pytest.approx(1.5)
+    clearance, where = track_clearance(grid, np.array([(5.5, 0.5), (2.5, 0.5), (7.5, 0.5)]))
+    assert clearance == pytest.approx(1.5)
+    assert where == (2.5, 0.5)
 
 
 def run_with(**changes: object) -> Run:
     values: dict[str, object] = {
-        "goal": "1,1,0", "status": "reached 1,1,0", "error": 0.1, "heading_error_deg": 1.0, "clearance": 0.3, "length": 9.0,
+        "goal": "1,1,0", "status": "reached 1,1,0", "error": 0.1, "heading_error_deg": 1.0, "clearance": 0.3, "closest": (0.0, 0.0), "length": 9.0,
         "duration": 20.0, "doorways": ("a", "b"), "recoveries": 0, "localisation_error": 0.0, "localisation_error_max": 0.0,
     }  # fmt: skip
     return Run(**{**values, **changes})  # type: ignore[arg-type]

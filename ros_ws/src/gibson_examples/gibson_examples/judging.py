@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from gibson_examples.geometry import Pose2D
+from gibson_examples.geometry import F64, Pose2D
 from gibson_examples.grid import Grid, distance_to
 
 REACHED_WITHIN = 0.25
@@ -30,6 +29,8 @@ class Run:
     heading_error_deg: float
     clearance: float
     """Smallest true distance of the robot's centre to anything on the map."""
+    closest: tuple[float, float]
+    """Where that was, map frame."""
     length: float
     """Driven."""
     duration: float
@@ -72,7 +73,8 @@ def describe(run: Run) -> str:
     """Returns a run in one line."""
     return (
         f"{'ok  ' if run.passed else 'FAIL'} {run.goal:>16}  {run.error:.3f} m  {run.heading_error_deg:4.1f} deg  "
-        f"{run.length:5.1f} m in {run.duration:5.1f} s  clearance {run.clearance:.2f} m  {run.recoveries} recoveries  "
+        f"{run.length:5.1f} m in {run.duration:5.1f} s  "
+        f"clearance {run.clearance:.2f} m at {run.closest[0]:.2f},{run.closest[1]:.2f}  {run.recoveries} recoveries  "
         f"localised to {run.localisation_error:.3f} m (max {run.localisation_error_max:.3f})  "
         f"{', '.join(run.doorways)}  [{run.status}]"
     )
@@ -84,6 +86,8 @@ def initial_error(seed: int, run: int) -> Pose2D:
     return Pose2D(0.1 * float(x), 0.1 * float(y), math.radians(5.0) * float(yaw))
 
 
-def track_clearance(grid: Grid, track: Sequence[tuple[float, float]]) -> float:
-    """Returns the smallest distance of a track's points (x, y), metres, from anything on the map."""
-    return float(grid.values(distance_to(grid.occupied, grid.resolution), np.array(track), np.inf).min())
+def track_clearance(grid: Grid, track: F64) -> tuple[float, tuple[float, float]]:
+    """Returns the smallest distance of a track's points (N, 2), metres, from anything on the map, and where that is."""
+    distances = grid.values(distance_to(grid.occupied, grid.resolution), track, np.inf)
+    nearest = int(distances.argmin())
+    return float(distances[nearest]), (float(track[nearest, 0]), float(track[nearest, 1]))

@@ -36,7 +36,9 @@ class PursuitSettings:
     min_linear: float = 0.06
     """m/s: slower than this it would never arrive."""
     acceleration: float = 0.6
-    """m/s^2, speeding up; braking for the goal is planned with half of it."""
+    """m/s^2, speeding up."""
+    approach_s: float = 0.8
+    """Towards the end its speed is the way that is left in so many seconds: a command that takes effect late does little harm."""
     lookahead_s: float = 0.9
     """The point aimed at is so many seconds ahead, ..."""
     min_lookahead: float = 0.22
@@ -125,7 +127,7 @@ class PurePursuit:
         near = min(max(clearance / s.slow_within, 0.0), 1.0)
         speed *= s.slowest_share + (1.0 - s.slowest_share) * near
         left = math.hypot(*(self.path[-1] - (pose.x, pose.y)))
-        return max(min(speed, math.sqrt(s.acceleration * left)), s.min_linear)
+        return max(min(speed, left / s.approach_s), s.min_linear)
 
     def _advance(self, pose: Pose2D) -> None:
         """Moves the place on the path to the nearest point of the next 1.5 metres."""

@@ -180,12 +180,14 @@ def _drive(judge: _Judge, course: Course, goal: Pose2D, error: Pose2D) -> Run:
     duration = (judge.now_ns - began_ns) / NS_PER_S
     judge.settle()
     track = np.array(judge.track)
+    clearance, closest = track_clearance(judge.grid, track)
     return Run(
         goal=wanted,
         status=judge.status,
         error=judge.truth.distance(goal),
         heading_error_deg=abs(math.degrees(wrap_angle(judge.truth.yaw - goal.yaw))),
-        clearance=track_clearance(judge.grid, judge.track),
+        clearance=clearance,
+        closest=closest,
         length=float(np.hypot(*np.diff(track, axis=0).T).sum()),
         duration=duration,
         doorways=tuple(doorway.name for doorway in course.doorways if doorway.crossed_by(track)),

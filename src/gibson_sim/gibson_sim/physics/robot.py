@@ -8,7 +8,7 @@ from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.drive import DriveInWorld, without_friction
 from gibson_sim.robots.drives import active_command, make_drive
-from gibson_sim.robots.joint_commands import JointCommand
+from gibson_sim.robots.joint_commands import JointCommand, JointTrajectory
 from gibson_sim.robots.joint_control import JointControl
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.robots.urdf import UrdfJoint, read_urdf
@@ -44,7 +44,9 @@ class RobotInWorld(BodyInWorld):
         self.drive: DriveInWorld | None = None
         if self.spec.drive is not None:
             drive = make_drive(self.spec.drive)
-            noise = OdometryNoise(self.spec.sensors.wheel_odometry, self.name, self._seed, left=[wheel.is_left for wheel in drive.wheels])
+            noise = OdometryNoise(
+                self.spec.sensors.wheel_odometry, self.name, self._seed, left=[wheel.is_left for wheel in drive.wheels]
+            )
             self.drive = DriveInWorld(drive, self, None if noise.exact else noise)
         self._joints = JointControl(self._motors, self._driven)
         self._step_start_ns = 0
@@ -70,6 +72,12 @@ class RobotInWorld(BodyInWorld):
             positions = dict(zip(names, reading.positions.tolist(), strict=True))
             velocities = dict(zip(names, reading.velocities.tolist(), strict=True))
         self._joints.command(command, now_ns, positions, velocities)
+
+    def forget_commands(self, bullet: Bullet, now_ns: int) -> None:
+        """Stands still, until it is told something new."""
+        self.command = None
+        if self._joints.names:
+            self.command_joints(bullet, JointTrajectory((), ()), now_ns)
 
     def actuate(self, bullet: Bullet, now_ns: int, timeout_ns: int, dt: float) -> None:
         """Sets the motors for the step that begins at ``now_ns``."""

@@ -111,7 +111,7 @@ class PhysicsWorld:
         """
         self._check_new(spec.name)
         self._load_body(spec)
-        self._changed(bodies=(*self.scene.bodies, spec))
+        self._changed(bodies=(*self.scene.bodies, spec), new_links=tuple(f"{spec.name}/{link}" for link in spec.links))
 
     def remove(self, name: str) -> None:
         """Takes a robot or a body out of the world; PhysicsError where there is none of this name."""
@@ -295,7 +295,7 @@ class PhysicsWorld:
             self._step_count = 0
 
     def set_step_count(self, steps: int) -> None:
-        """Sets time to that of ``steps`` steps after load; nothing moves.
+        """Sets time to that of ``steps`` steps after load; nothing moves. Robots forget their commands, whose times are of the old one.
 
         Raises:
             PhysicsError: ``steps`` is negative.
@@ -303,6 +303,8 @@ class PhysicsWorld:
         if steps < 0:
             raise PhysicsError(f"step count is {steps}, must be 0 or more")
         self._step_count, self._state = steps, None
+        for robot in self._robots.values():
+            robot.forget_commands(self._bullet, self.stamp_ns)
 
     def close(self) -> None:
         """Frees the engine; a second call does nothing, any other use afterwards raises PhysicsError."""
@@ -343,9 +345,13 @@ class PhysicsWorld:
     def _name_links(self) -> None:
         self.links = tuple(f"{one.name}/{link}" for one in self._all() for link in one.links)
 
-    def _changed(self, **changes: Any) -> None:
+    def _changed(self, new_links: tuple[str, ...] = (), **changes: Any) -> None:
+        """Takes up another scene; ``new_links`` are those of a body that came last, so that thousands come quickly."""
         self.scene = replace(self.scene, revision=self.scene.revision + 1, **changes)
-        self._name_links()
+        if new_links:
+            self.links += new_links
+        else:
+            self._name_links()
         self._state = None
 
     def _base_row(self, robot: str) -> int:

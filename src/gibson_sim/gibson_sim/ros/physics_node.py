@@ -33,7 +33,6 @@ from gibson_sim.ros.stamped_commands import StampedCommands
 from gibson_sim.ros.world_interface import WorldInterface
 from gibson_sim.scenes.placement import populate
 from gibson_sim.scenes.randomise_yaml import load_rules
-from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.sensors.schedule import is_due
 from gibson_sim.simulation.simulator import Simulator
 from gibson_sim.simulation.states import SimulationState
@@ -74,7 +73,7 @@ class PhysicsNode(Node):
         scene = populate(config.scene, config.robot, config.start, sdf_lamps=config.sdf_lamps, robot_tf=config.robot_tf)
         rules = load_rules(find_config(config.randomise, "randomisation")) if config.randomise else None
         self._look_for_others()
-        self._simulator = Simulator(with_camera_settings(scene, config), config)
+        self._simulator = Simulator(scene, config)
         self._pacer = Pacer(config.step_hz, config.rate, burst=config.step_hz // config.publish_hz)
         self._first_step: tuple[int, int] | None = None
         self._last_step, self._last_report = (0, 0), (0, 0)
@@ -327,17 +326,6 @@ class PhysicsNode(Node):
             write_summary(self._config.summary_path, self.summary())
             self._simulator.close()
             self._simulator = None
-
-
-def with_camera_settings(scene: SceneSpec, config: PhysicsConfig) -> SceneSpec:
-    """Returns the scene with the rate and the outputs that the settings ask of every camera."""
-    changes: dict[str, Any] = {}
-    if config.camera_rate:
-        changes["rate_hz"] = config.camera_rate
-    if outputs := config.wanted_outputs():
-        changes["outputs"] = outputs
-    robots = tuple(replace(r, cameras=tuple(replace(c, **changes) for c in r.cameras)) for r in scene.robots)
-    return replace(scene, robots=robots)
 
 
 def main(args: list[str] | None = None) -> None:

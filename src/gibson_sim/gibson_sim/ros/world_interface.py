@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
@@ -51,6 +53,7 @@ class WorldInterface:
     def publish_scene(self, world: PhysicsWorld) -> None:
         """Publishes what there is; again after every change."""
         drawn = drawn_scene(world.scene, world.links)
+        drawn = replace(drawn, cameras=with_camera_settings(drawn.cameras, self._config))
         if self._rules is not None:
             drawn = randomise(drawn, self._config.randomise_seed, self._rules)
         self.cameras = drawn.cameras
@@ -102,3 +105,13 @@ class WorldInterface:
             self._withdrawn = True
             self._node.get_logger().info("another node publishes the map: ours is withdrawn (setting map = on keeps it)")
         return self._withdrawn
+
+
+def with_camera_settings(cameras: Sequence[CameraSpec], config: PhysicsConfig) -> tuple[CameraSpec, ...]:
+    """Returns the cameras with the rate and the outputs that the settings ask of every one."""
+    changes: dict[str, Any] = {}
+    if config.camera_rate:
+        changes["rate_hz"] = config.camera_rate
+    if outputs := config.wanted_outputs():
+        changes["outputs"] = outputs
+    return tuple(replace(camera, **changes) for camera in cameras)
