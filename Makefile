@@ -5,7 +5,7 @@ ARGS ?=
 PYTEST_ARGS ?=
 
 BIN := $(VENV)/bin
-CODE := bootstrap.py src/gibson_sim tests
+CODE := bootstrap.py src/gibson_sim ros_ws/src/gibson_examples tests
 
 export FASTRTPS_DEFAULT_PROFILES_FILE ?= $(CURDIR)/config/fastdds.xml
 # What another ROS installation or environment put there does not belong into ours.
@@ -43,5 +43,6 @@ format: setup
 
 clean:
 	rm -rf '$(VENV)' ros_ws/build ros_ws/install ros_ws/log src/gibson_sim/build src/gibson_sim/*.egg-info
+	rm -rf ros_ws/src/gibson_examples/build ros_ws/src/gibson_examples/*.egg-info
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
-	find src tests -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src ros_ws/src/gibson_examples tests -name __pycache__ -type d -prune -exec rm -rf {} +

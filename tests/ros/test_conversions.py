@@ -30,6 +30,7 @@ from gibson_sim.types import (  # noqa: E402
     Pose,
     SceneState,
 )
+from support.messages import odometry_to_msg  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -204,7 +205,7 @@ def test_position_and_flow_become_images_that_read_back_the_same() -> None:
 
 
 def test_odometry_yaw_becomes_a_rotation_about_z() -> None:
-    msg = c.odometry_to_msg(Odometry(1.0, 2.0, math.pi / 2, 0.3, 0.4), 10, "odom", "base_footprint")
+    msg = odometry_to_msg(Odometry(1.0, 2.0, math.pi / 2, 0.3, 0.4), 10, "odom", "base_footprint")
     q = msg.pose.pose.orientation
     np.testing.assert_allclose([q.x, q.y, q.z, q.w], [0, 0, math.sqrt(0.5), math.sqrt(0.5)])
     assert (msg.twist.twist.linear.x, msg.twist.twist.angular.z, msg.child_frame_id) == (0.3, 0.4, "base_footprint")

@@ -26,6 +26,7 @@ from gibson_sim.ros.fast_publish import (  # noqa: E402
     FastTf,
 )
 from gibson_sim.types import JointStates, Odometry, Pose, SceneState  # noqa: E402
+from support.messages import ground_truth_to_msg, joint_states_to_msg, odometry_to_msg  # noqa: E402
 
 pytestmark = pytest.mark.ros
 STAMP_NS = 12_345_678_901
@@ -76,7 +77,7 @@ def test_another_number_of_transforms_is_refused() -> None:
 @pytest.mark.parametrize("child", ["base", "base_footprint", "robot_17/base_link"])
 def test_odometry_is_bit_equal(child: str) -> None:
     odometry = Odometry(1.0, 2.0, 0.0, 0.4, -0.1)
-    message = conversions.odometry_to_msg(odometry, STAMP_NS, "odom", child)
+    message = odometry_to_msg(odometry, STAMP_NS, "odom", child)
     fast = FastOdometry("odom", child, message.pose.covariance, message.twist.covariance)
     data = fast.serialize(STAMP_NS, (1.0, 2.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.4, 0.0, 0.0), (0.0, 0.0, -0.1))
     _same(message, data)
@@ -85,7 +86,7 @@ def test_odometry_is_bit_equal(child: str) -> None:
 
 def test_ground_truth_is_bit_equal() -> None:
     pose, linear, angular = Pose((1.0, 2.0, 3.0), (HALF, 0.0, 0.0, HALF)), np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.5, 0.6])
-    message = conversions.ground_truth_to_msg(pose, linear, angular, STAMP_NS, "base_footprint")
+    message = ground_truth_to_msg(pose, linear, angular, STAMP_NS, "base_footprint")
     data = FastOdometry("map", "base_footprint").serialize(STAMP_NS, pose.position, pose.quat_xyzw, linear, angular)
     _same(message, data)
 
@@ -94,7 +95,7 @@ def test_ground_truth_is_bit_equal() -> None:
 def test_joint_states_are_bit_equal(count: int) -> None:
     names = tuple(f"joint_{10**i}" for i in range(count))
     joints = JointStates(names, *(np.arange(count) + offset for offset in (0.5, 10.5, 20.5)))
-    message = conversions.joint_states_to_msg(joints, STAMP_NS)
+    message = joint_states_to_msg(joints, STAMP_NS)
     assert isinstance(message, JointState)
     _same(message, FastJointStates(names).serialize(STAMP_NS, joints))
 

@@ -84,7 +84,11 @@ class PhysicsConfig:
     )
     step_hz: int = setting(240, "Physics steps in a second of simulation time", unit="Hz", minimum=60, maximum=10_000)
     clock_hz: int = setting(
-        100, "Rate of /clock in simulation time; it also comes with whatever else is published", unit="Hz", minimum=1, maximum=1000
+        100,
+        "Rate of /clock in simulation time; it also comes with whatever else is published",
+        unit="Hz",
+        minimum=1,
+        maximum=1000,
     )
     publish_hz: int = setting(
         60, "Rate of tf, odometry, joint states and scene state; must divide step_hz", unit="Hz", minimum=1, maximum=1000

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from array import array
-from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Twist
@@ -17,16 +16,12 @@ from gibson_sim.geometry.transforms import quat_from_rpy
 from gibson_sim.robots.joint_commands import JointCommand, JointPositions, JointTrajectory, JointVelocities, TrajectoryPoint
 from gibson_sim.ros.conversions.basics import (
     header_to_msg,
-    pose_to_msg,
     time_from_msg,
     vector_from_msg,
-    vector_to_msg,
 )
-from gibson_sim.scenes.spec import WORLD_FRAME
 from gibson_sim.sensors.lidar import Scan
 from gibson_sim.types import (
     NS_PER_S,
-    JointStates,
     Odometry,
     Pose,
     VelocityCommand,
@@ -42,46 +37,13 @@ def velocity_from_msg(msg: Twist, stamp_ns: int) -> VelocityCommand:
     return VelocityCommand(vector_from_msg(msg.linear), vector_from_msg(msg.angular), stamp_ns)
 
 
-def odometry_to_msg(odometry: Odometry, stamp_ns: int, parent: str, child: str) -> RosOdometry:
-    """Returns wheel odometry: pose in ``parent``, twist in ``child``. Covariances are those of good wheels on a hard floor."""
-    msg = RosOdometry(header=header_to_msg(stamp_ns, parent), child_frame_id=child)
-    msg.pose.pose = pose_to_msg(odometry_pose(odometry))
-    msg.twist.twist.linear.x = odometry.linear
-    msg.twist.twist.linear.y = odometry.lateral
-    msg.twist.twist.angular.z = odometry.angular
-    # A planar base says nothing of z, roll and pitch: a filter must not trust them, nor divide by zero.
-    msg.pose.covariance = _diagonal((1e-3, 1e-3, 1e6, 1e6, 1e6, 1e-3))
-    msg.twist.covariance = _diagonal((1e-4, 1e-4, 1e6, 1e6, 1e6, 1e-4))
-    return msg
-
-
 def odometry_pose(odometry: Odometry) -> Pose:
     """Returns T_odom_base."""
     return Pose((odometry.x, odometry.y, 0.0), quat_from_rpy(0.0, 0.0, odometry.yaw))
 
 
-def ground_truth_to_msg(pose: Pose, linear: Any, angular: Any, stamp_ns: int, child: str) -> RosOdometry:
-    """Returns the true pose in the world frame and the true twist in the ``child`` frame; covariances are zero."""
-    msg = RosOdometry(header=header_to_msg(stamp_ns, WORLD_FRAME), child_frame_id=child)
-    msg.pose.pose = pose_to_msg(pose)
-    msg.twist.twist.linear = vector_to_msg(linear)
-    msg.twist.twist.angular = vector_to_msg(angular)
-    return msg
-
-
 def _diagonal(values: tuple[float, ...]) -> NDArray[np.float64]:
     return np.diag(np.array(values, dtype=np.float64)).ravel()
-
-
-def joint_states_to_msg(joints: JointStates, stamp_ns: int) -> JointState:
-    """Returns joint states; names are those of the URDF."""
-    return JointState(
-        header=header_to_msg(stamp_ns, ""),
-        name=list(joints.names),
-        position=array("d", joints.positions.tobytes()),
-        velocity=array("d", joints.velocities.tobytes()),
-        effort=array("d", joints.efforts.tobytes()),
-    )
 
 
 def scan_to_msg(scan: Scan, frame_id: str, scan_time: float) -> LaserScan:
