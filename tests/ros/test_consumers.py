@@ -39,7 +39,7 @@ DRAWN = (("--rate", "0.3"), ("--rate", "1"))
 FAST = ("--rate", "5", "--no-render")
 """Nothing is drawn at a high speed: what a slow machine can draw is another test's matter."""
 SPEEDS = (*DRAWN, FAST)
-ENOUGH = 8
+ENOUGH = 6
 """Messages of each stream."""
 SOON = 240
 """Physics steps after a reset within which every stream is heard of."""
@@ -78,11 +78,20 @@ def row(request: pytest.FixtureRequest) -> Row:
 
 
 @pytest.fixture(scope="module")
-def heard(sim: Launched, row: Row, ros_context: Any) -> Iterator[Heard]:
+def hearings(sim: Launched) -> dict[str, Heard]:
+    """What consumers of one simulation heard, by who and what: pytest goes through some rows more than once."""
+    return {}
+
+
+@pytest.fixture
+def heard(hearings: dict[str, Heard], row: Row, ros_context: Any) -> Heard:
     """What the consumer of a row hears."""
-    client = Listener(ros_context)
-    yield hear(client, row, ENOUGH)
-    client.close()
+    key = f"{row.who}: {row.topic}"
+    if key not in hearings:
+        client = Listener(ros_context)
+        hearings[key] = hear(client, row, ENOUGH)
+        client.close()
+    return hearings[key]
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""One body in the engine: its joints, and the frames of its links."""
+"""One body in the engine: its joints, its shapes, the frames of its links."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from scipy.spatial import ConvexHull, QhullError
 
 from gibson_sim.errors import MeshError, PhysicsError
 from gibson_sim.geometry.transforms import Mat4, matrices_from_poses, quat_from_matrix, transform_points
-from gibson_sim.physics.bullet import Bullet, BulletBody, cross, right_multiplication, turn
+from gibson_sim.physics.bullet import Bullet, BulletBody
+from gibson_sim.physics.frames import FrameTable, right_multiplication
 from gibson_sim.robots.rigid import RigidGroup, physics_urdf, rigid_groups
 from gibson_sim.robots.spec import Shape
 from gibson_sim.robots.urdf import UrdfModel
@@ -30,12 +31,14 @@ class BodyInWorld:
         self.name, self.model, self.start, self.static = name, model, start, static
         self.links = tuple(link.name for link in model.links)
         """Names of all links, the root first, without the body name."""
+        self.full_links = tuple(f"{name}/{link}" for link in self.links)
+        """The same with it: ``<body>/<link>``."""
         groups, warnings = rigid_groups(model)
         self.warnings = [*model.warnings, *warnings]
         self._groups = tuple(self._readable(bullet, group) for group in groups)
         self._urdf = physics_urdf(model, self._groups, concave=static)
         self.load(bullet)
-        self._rows, self._offsets, self._turns = self._link_table()
+        self.table = self._frame_table()
         self._outlines: list[tuple[int, Shape, Mat4, NDArray[np.float64]]] | None = None
 
     def load(self, bullet: Bullet) -> None:
@@ -51,10 +54,11 @@ class BodyInWorld:
 
     def root_state(self, bullet: Bullet) -> tuple[Pose, NDArray[np.float64], NDArray[np.float64]]:
         """Returns T_world_root, linear (m/s) and angular (rad/s) velocity of the root link's origin, world frame."""
-        positions, quats, twists = self.link_states(bullet)
+        raw = np.array([bullet.raw_root(self.body)])
+        positions, quats, linear, angular = self.table.root.groups(raw)
         x, y, z = positions[0].tolist()
         qx, qy, qz, qw = quats[0].tolist()
-        return Pose((x, y, z), (qx, qy, qz, qw)), twists[0, :3], twists[0, 3:]
+        return Pose((x, y, z), (qx, qy, qz, qw)), linear[0], angular[0]
 
     def set_state(self, bullet: Bullet, pose: Pose | None, linear: Vec3 | None, angular: Vec3 | None) -> None:
         """Moves the root, or changes its velocity; what is None stays."""
@@ -67,23 +71,13 @@ class BodyInWorld:
         speed = np.asarray(linear_now if linear is None else linear, dtype=np.float64)
         bullet.set_velocity(self.body, (pose or now).quat_xyzw, speed, spin)
 
-    def link_states(self, bullet: Bullet) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Returns positions (N, 3), quaternions (N, 4) and twists (N, 6) of all links, world frame, in the order of ``links``."""
-        groups = bullet.link_states(self.body)
-        rows = self._rows
-        group_quats, angular = groups.quats_xyzw[rows], groups.angular[rows]
-        offsets = turn(group_quats, self._offsets)
-        quats = np.matmul(self._turns, group_quats[:, :, None])[:, :, 0]
-        linear = groups.linear[rows] + cross(angular, offsets)
-        return groups.positions[rows] + offsets, quats, np.concatenate([linear, angular], axis=1)
-
     def bounds(self, bullet: Bullet, T_frame_world: Mat4) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Returns the lowest and highest corner, each (3,), metres, in a frame, of the box about all collision shapes.
 
         A body without any has its root's origin as both corners.
         """
-        states = bullet.link_states(self.body)
-        world_from_group = matrices_from_poses(states.positions, states.quats_xyzw)
+        positions, quats, _, _ = self.table.groups(np.array(bullet.raw_states(self.body)))
+        world_from_group = matrices_from_poses(positions, quats)
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         if self._outlines is None:
             self._outlines = [(self._row(g), s, T, _corners(s)) for g in self._groups for s, T in g.collisions]
@@ -91,7 +85,7 @@ class BodyInWorld:
             lowest, highest = _extent(shape, T_frame_world @ world_from_group[row] @ T_group_shape, points)
             low, high = np.minimum(low, lowest), np.maximum(high, highest)
         if not np.isfinite(low).all():
-            root = transform_points(T_frame_world, states.positions[:1])[0]
+            root = transform_points(T_frame_world, positions[:1])[0]
             return root, root.copy()
         return low, high
 
@@ -121,11 +115,8 @@ class BodyInWorld:
         vertices, triangles = load_shape(shape, [Path(shape.mesh).parent]).merged() if self.static else hull_of(shape)
         return Shape("mesh", (1.0, 1.0, 1.0), str(bullet.write_mesh(vertices, triangles)))
 
-    def _link_table(self) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
-        """Returns, for every link, the row of its rigid group in the engine and T_group_link.
-
-        T_group_link comes as a position, (3,), and as the matrix, (4, 4), that multiplies a quaternion from the right.
-        """
+    def _frame_table(self) -> FrameTable:
+        """Returns how the links lie in what the engine moves."""
         home: dict[str, tuple[RigidGroup, Mat4]] = {
             link: (group, T_group_link) for group in self._groups for link, T_group_link in group.members.items()
         }
@@ -135,7 +126,13 @@ class BodyInWorld:
             rows.append(self._row(group))
             offsets.append(T_group_link[:3, 3])
             turns.append(right_multiplication(quat_from_matrix(T_group_link[:3, :3])))
-        return np.array(rows, dtype=np.intp), np.array(offsets), np.array(turns)
+        return FrameTable(
+            self.body.links_in_inertial,
+            self.body.link_turns,
+            np.array(rows, dtype=np.intp),
+            np.array(offsets),
+            np.array(turns),
+        )
 
 
 @lru_cache(maxsize=256)

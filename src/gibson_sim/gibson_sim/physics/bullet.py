@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import PhysicsError
+from gibson_sim.physics.frames import cross, product, right_multiplication, turn
 from gibson_sim.types import Pose, Quat, Vec3
 
 logger = logging.getLogger(__name__)
@@ -69,23 +70,8 @@ _VERTEX_LIMIT = 131_000
 """Vertices of one collision shape; PyBullet refuses arrays above 131,072 vertices or 524,288 indices."""
 _TRIANGLE_LIMIT = 174_000
 _FIRST_RAY_BIT = 6
-_YZX, _ZXY = np.array([1, 2, 0]), np.array([2, 0, 1])
 MAX_BODIES_WITH_RAYS = 24
 """Bodies that rays can leave out: each needs a bit of the 32-bit collision group; Bullet owns the lowest six."""
-
-
-@dataclass(frozen=True, slots=True)
-class LinkStates:
-    """Link frames of one body in the world frame, root first; then its joints in their order."""
-
-    positions: NDArray[np.float64]
-    """(N, 3) origins of the link frames, metres."""
-    quats_xyzw: NDArray[np.float64]
-    """(N, 4)."""
-    linear: NDArray[np.float64]
-    """(N, 3) velocities of the origins, m/s."""
-    angular: NDArray[np.float64]
-    """(N, 3), rad/s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,13 +103,23 @@ class EngineContact:
 class BulletBody:
     """What was found out once about a body with joints."""
 
-    __slots__ = ("joint_indices", "link_count", "link_turns", "links_in_inertial", "ray_bit", "root_inertial", "uid")
+    __slots__ = (
+        "joint_indices",
+        "link_count",
+        "link_indices",
+        "link_turns",
+        "links_in_inertial",
+        "ray_bit",
+        "root_inertial",
+        "uid",
+    )
 
     def __init__(self, uid: int, joint_indices: dict[str, int], inertial_poses: Sequence[tuple[Vec3, Quat]]) -> None:
         self.uid = uid
         self.joint_indices = joint_indices
         self.link_count = len(inertial_poses) - 1
         """Links below the root."""
+        self.link_indices = tuple(range(self.link_count))
         conjugates = [(-x, -y, -z, w) for _, (x, y, z, w) in inertial_poses]
         self.links_in_inertial = -turn(np.array(conjugates), np.array([position for position, _ in inertial_poses]))
         """(N, 3): origins of the link frames in the frame that Bullet moves: centre of mass and principal axes."""
@@ -319,7 +315,7 @@ class Bullet:
 
     def place(self, body: BulletBody, pose: Pose) -> None:
         """Puts the root link's frame at ``pose`` (T_world_root); joints and velocities stay."""
-        quat = _times(pose.quat_xyzw, body.root_inertial[1])
+        quat = product(pose.quat_xyzw, body.root_inertial[1])
         center = np.array(pose.position) - turn(np.array([quat]), body.links_in_inertial[:1])[0]
         p.resetBasePositionAndOrientation(body.uid, center.tolist(), quat, physicsClientId=self.client)
 
@@ -332,7 +328,7 @@ class Bullet:
             linear: (3,), m/s, world frame.
             angular: (3,), rad/s, world frame.
         """
-        to_frame = turn(np.array([_times(quat_xyzw, body.root_inertial[1])]), body.links_in_inertial[:1])[0]
+        to_frame = turn(np.array([product(quat_xyzw, body.root_inertial[1])]), body.links_in_inertial[:1])[0]
         center = linear - cross(angular[None], to_frame[None])[0]
         p.resetBaseVelocity(body.uid, center.tolist(), angular.tolist(), physicsClientId=self.client)
 
@@ -353,22 +349,22 @@ class Bullet:
                 out.append(EngineContact(link_a, self._names.get(b, ""), link_b, position, normal, force))
         return out
 
-    def link_states(self, body: BulletBody) -> LinkStates:
-        """Returns frames and velocities of the root and all links below it."""
-        client = self.client
-        position, quat = p.getBasePositionAndOrientation(body.uid, physicsClientId=client)
-        rows = [(*position, *quat, *(v for vector in p.getBaseVelocity(body.uid, physicsClientId=client) for v in vector))]
+    def raw_states(self, body: BulletBody) -> list[tuple[float, ...]]:
+        """Returns 13 numbers of the root and of every link below it: see ``frames.FrameTable.groups``."""
+        rows = [self.raw_root(body)]
         if body.link_count:
             states = p.getLinkStates(
-                body.uid, range(body.link_count), computeLinkVelocity=1, computeForwardKinematics=1, physicsClientId=client
+                body.uid, body.link_indices, computeLinkVelocity=1, computeForwardKinematics=1, physicsClientId=self.client
             )
             # 0, 1: pose of the centre of mass; 6, 7: its velocities. The link frames at 4 and 5 are rounded to 32 bits.
             rows += [(*s[0], *s[1], *s[6], *s[7]) for s in states]
-        data = np.array(rows)
-        spin = data[:, 10:]
-        to_frames = turn(data[:, 3:7], body.links_in_inertial)
-        quats = np.matmul(body.link_turns, data[:, 3:7, None])[:, :, 0]
-        return LinkStates(data[:, :3] + to_frames, quats, data[:, 7:10] + cross(spin, to_frames), spin)
+        return rows
+
+    def raw_root(self, body: BulletBody) -> tuple[float, ...]:
+        """Returns the first of ``raw_states``."""
+        position, quat = p.getBasePositionAndOrientation(body.uid, physicsClientId=self.client)
+        linear, angular = p.getBaseVelocity(body.uid, physicsClientId=self.client)
+        return (*position, *quat, *linear, *angular)
 
     def joint_reading(self, body: BulletBody, indices: Sequence[int]) -> JointReading:
         """Returns positions, velocities and motor efforts of the joints."""
@@ -405,29 +401,6 @@ class Bullet:
             )  # fmt: skip
             fractions.extend([hit[2] if hit[0] >= 0 else np.inf for hit in hits])
         return np.array(fractions, dtype=np.float64)
-
-
-def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns a x b, (N, 3); several times faster than ``np.cross`` for few rows."""
-    return a.take(_YZX, 1) * b.take(_ZXY, 1) - a.take(_ZXY, 1) * b.take(_YZX, 1)
-
-
-def turn(quats_xyzw: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Returns vectors, (N, 3), turned by unit quaternions, (N, 4)."""
-    axis, scalar = quats_xyzw[:, :3], quats_xyzw[:, 3:]
-    return vectors + 2.0 * cross(axis, cross(axis, vectors) + scalar * vectors)
-
-
-def _times(a: Quat, b: Quat) -> Quat:
-    """Returns the quaternion product a b."""
-    x, y, z, w = (right_multiplication(b) @ np.array(a)).tolist()
-    return (x, y, z, w)
-
-
-def right_multiplication(quat_xyzw: Quat) -> NDArray[np.float64]:
-    """Returns the (4, 4) matrix M with ``M @ q`` = the quaternion product of q and ``quat_xyzw``."""
-    x, y, z, w = quat_xyzw
-    return np.array([[w, z, -y, x], [-z, w, x, y], [y, -x, w, z], [-x, -y, -z, w]])
 
 
 def _pieces(

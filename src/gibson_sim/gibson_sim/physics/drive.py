@@ -115,10 +115,9 @@ class _Servo:
 
     def push(self, bullet: Bullet, velocity: PlanarVelocity, dt: float) -> None:
         """Changes the base's velocity in its plane, in the next step at most by what friction allows."""
-        states = bullet.link_states(self._one.body)
-        x, y, z, w = states.quats_xyzw[0].tolist()
-        R_world_base = matrix_from_quat((x, y, z, w))
-        speed, spin = states.linear[0] @ R_world_base, states.angular[0] @ R_world_base
+        pose, linear, angular = self._one.root_state(bullet)
+        R_world_base = matrix_from_quat(pose.quat_xyzw)
+        speed, spin = linear @ R_world_base, angular @ R_world_base
         touching = (contact for contact in bullet.contacts(self._one.body) if contact.link in self._wheels)
         load = sum(contact.force for contact in touching if contact.normal[2] > _FLOOR)
         grip = self._servo.traction * load * dt
@@ -131,7 +130,7 @@ class _Servo:
         most_spin = grip * self._servo.reach / self._inertia
         speed += (change[0] * part, change[1] * part, 0.0)
         spin[2] += min(max(velocity.angular - float(spin[2]), -most_spin), most_spin)
-        bullet.set_velocity(self._one.body, (x, y, z, w), R_world_base @ speed, R_world_base @ spin)
+        bullet.set_velocity(self._one.body, pose.quat_xyzw, R_world_base @ speed, R_world_base @ spin)
 
 
 def mass_and_inertia(model: UrdfModel) -> tuple[float, float]:

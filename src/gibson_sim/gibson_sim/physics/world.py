@@ -16,6 +16,7 @@ from gibson_sim.errors import CommandError, ConfigError, MeshError, PhysicsError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_quat
 from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
+from gibson_sim.physics.frames import FrameTable
 from gibson_sim.physics.robot import RobotInWorld
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.joint_commands import JointCommand
@@ -70,6 +71,8 @@ class PhysicsWorld:
         self._seed = seed
         self._step_count = 0
         self._state: SceneState | None = None
+        self._table: FrameTable | None = None
+        """Of all bodies together; None = they changed."""
         self._bullet = Bullet(self.step_hz, scene.gravity)
         try:
             self._add_static_shapes()
@@ -111,7 +114,7 @@ class PhysicsWorld:
         """
         self._check_new(spec.name)
         self._load_body(spec)
-        self._changed(bodies=(*self.scene.bodies, spec), new_links=tuple(f"{spec.name}/{link}" for link in spec.links))
+        self._changed(bodies=(*self.scene.bodies, spec), new_links=self._bodies[spec.name].full_links)
 
     def remove(self, name: str) -> None:
         """Takes a robot or a body out of the world; PhysicsError where there is none of this name."""
@@ -219,7 +222,9 @@ class PhysicsWorld:
         """Returns the poses of all links now; its arrays are read-only and stay as they are."""
         self._bullet.check_open()
         if self._state is None:
-            self._state = self._state_of(self._all(), self.links)
+            if self._table is None:
+                self._table = FrameTable.joined([body.table for body in self._all()])
+            self._state = self._state_of(self._all(), self._table, self.links)
         return self._state
 
     def state_of(self, name: str) -> SceneState:
@@ -227,13 +232,11 @@ class PhysicsWorld:
         if self._state is not None:
             return self._state
         one = self._one(name)
-        return self._state_of((one,), tuple(f"{name}/{link}" for link in one.links))
+        return self._state_of((one,), one.table, one.full_links)
 
-    def _state_of(self, bodies: Sequence[BodyInWorld], links: tuple[str, ...]) -> SceneState:
-        parts = [body.link_states(self._bullet) for body in bodies]
-        positions, quats, twists = (
-            np.concatenate([part[i] for part in parts]) if parts else np.zeros((0, width)) for i, width in enumerate((3, 4, 6))
-        )
+    def _state_of(self, bodies: Sequence[BodyInWorld], table: FrameTable, links: tuple[str, ...]) -> SceneState:
+        raw = [row for body in bodies for row in self._bullet.raw_states(body.body)]
+        positions, quats, twists = table.links(np.array(raw, dtype=np.float64).reshape(-1, 13))
         for array in (positions, quats, twists):
             array.setflags(write=False)
         return SceneState(self.stamp_ns, self._step_count, self.scene.revision, links, positions, quats, twists)
@@ -343,7 +346,7 @@ class PhysicsWorld:
         self.warnings += body.warnings
 
     def _name_links(self) -> None:
-        self.links = tuple(f"{one.name}/{link}" for one in self._all() for link in one.links)
+        self.links = tuple(link for one in self._all() for link in one.full_links)
 
     def _changed(self, new_links: tuple[str, ...] = (), **changes: Any) -> None:
         """Takes up another scene; ``new_links`` are those of a body that came last, so that thousands come quickly."""
@@ -352,7 +355,7 @@ class PhysicsWorld:
             self.links += new_links
         else:
             self._name_links()
-        self._state = None
+        self._state = self._table = None
 
     def _base_row(self, robot: str) -> int:
         spec = self._robot(robot).spec

@@ -225,19 +225,19 @@ class PhysicsNode(Node):
         self.simulator.step()
         config, step, stamp_ns = self._config, world.step_count, world.stamp_ns
         ticks = config.step_hz // config.publish_hz
-        publishes = step % ticks == 0
+        # The whole state first: sensors that are due at this step then need no other one.
+        state = world.state() if step % ticks == 0 else None
         measured = [(robot, robot.sensors.measure(world, step, stamp_ns)) for robot in self._robots.values()]
         asked_for = self.simulator.state is not SimulationState.PLAYING
-        if publishes or asked_for or is_due(step, config.clock_hz, config.step_hz) or any(m for _, m in measured):
+        if state is not None or asked_for or is_due(step, config.clock_hz, config.step_hz) or any(m for _, m in measured):
             self._clock_pub.publish(self._clock_message.serialize(stamp_ns))
-        if publishes:
-            state = world.state()
+        if state is not None:
             for robot in self._robots.values():
                 robot.publish_state(world, state)
         for robot, measurements in measured:
             if measurements:
                 robot.publish_sensors(measurements)
-        if publishes:
+        if state is not None:
             # Last: who draws this state may count on its transforms.
             self._world_topics.publish_state(state, step // ticks)
         self._last_step = (time.monotonic_ns(), stamp_ns)
