@@ -56,9 +56,13 @@ def ros_domain() -> Iterator[int]:
 
 @pytest.fixture(scope="module")
 def ros_context(ros_domain: int) -> Iterator[Any]:
-    """One participant for all clients of a module."""
+    """One participant for all clients of a module: it lives as long as the context has a node."""
+    from rclpy.node import Node
+
     context = new_context()
+    keeper = Node("test_keeper", context=context, use_global_arguments=False, start_parameter_services=False)
     yield context
+    keeper.destroy_node()
     context.try_shutdown()
 
 

@@ -118,14 +118,13 @@ def test_consumer_receives_with_its_own_quality_of_service(heard: Heard) -> None
 
 
 @every_stream
-def test_topic_has_one_type_and_it_is_the_expected_one(heard: Heard, listener: Listener) -> None:
-    types = dict(listener.node.get_topic_names_and_types())
-    assert types[heard.row.name] == [heard.row.type_name]
+def test_topic_has_one_type_and_it_is_the_expected_one(heard: Heard) -> None:
+    assert heard.types == [heard.row.type_name]
 
 
 @every_stream
-def test_topic_has_one_publisher(heard: Heard, listener: Listener) -> None:
-    assert listener.node.count_publishers(heard.row.name) == 1
+def test_topic_has_one_publisher(heard: Heard) -> None:
+    assert heard.publishers == 1
 
 
 @every_stream

@@ -97,6 +97,10 @@ class Heard:
     """Stamp of a /clock to when it was sent."""
     transforms: dict[int, int] = field(default_factory=dict)
     """Stamp of odom -> base to when it was sent."""
+    types: list[str] = field(default_factory=list)
+    """Of the topic, on the graph."""
+    publishers: int = 0
+    """Of the topic."""
 
 
 def hear(listener: Listener, row: Row, count: int) -> Heard:
@@ -126,4 +130,6 @@ def hear(listener: Listener, row: Row, count: int) -> Heard:
         return max(heard.clock) > last and max(heard.transforms) > last
 
     listener.spin_until(complete, f"{count} messages on {row.topic} for {row.who}")
+    heard.types = dict(node.get_topic_names_and_types())[row.name]
+    heard.publishers = node.count_publishers(row.name)
     return heard
