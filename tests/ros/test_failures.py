@@ -34,7 +34,7 @@ def test_mesh_cut_in_half_is_named_in_one_line(ros_domain: int, tmp_path: Path) 
 def test_missing_texture_warns_and_draws(ros_domain: int, tmp_path: Path) -> None:
     room = write_room(tmp_path / "room", "  - {name: square, mesh: square.obj, pose: {xyz: [1.0, 0.0, 0.0]}}\n")
     write_square_obj(room, "not_there.png")
-    launched = Launched("run", "--scene", str(room), "--duration", "1.5")
+    launched = Launched("run", "--scene", str(room), "--snapshot", str(tmp_path / "shots"))
     assert launched.wait() == 0, "\n".join(launched.lines)
     assert any("WARN" in line and "not_there.png" in line for line in launched.lines)
     assert any("render: camera camera, " in line and " 0 images" not in line for line in launched.lines)

@@ -144,6 +144,12 @@ def _yaw(message: Odometry) -> float:
     return 2 * math.atan2(q.z, q.w)
 
 
+def _rests(message: Odometry) -> bool:
+    """Whether a robot has stopped doing what it was told before."""
+    twist = message.twist.twist
+    return abs(twist.angular.z) < 1e-3 and abs(twist.linear.x) < 1e-3
+
+
 def _turned(a: Odometry, b: Odometry) -> float:
     return abs(math.remainder(_yaw(b) - _yaw(a), math.tau))
 
@@ -151,7 +157,7 @@ def _turned(a: Odometry, b: Odometry) -> float:
 @pytest.mark.parametrize(("told", "other"), [("left", "right"), ("right", "left")])
 def test_command_moves_the_robot_that_it_is_for_alone(sim: Launched, listener: Listener, told: str, other: str) -> None:
     truth = {name: listener.collect(Odometry, f"{name}/ground_truth/odom", DEEP) for name in ROBOTS}
-    listener.spin_until(lambda: all(truth.values()), "ground truth of both")
+    listener.spin_until(lambda: all(m and _rests(m[-1]) for m in truth.values()), "both robots at rest")
     first = {name: messages[-1] for name, messages in truth.items()}
     drive_until(listener, f"{told}/cmd_vel", 0.0, 0.8, lambda: _turned(first[told], truth[told][-1]) > 0.6, "a turned robot")
     assert _turned(first[other], truth[other][-1]) < 0.001

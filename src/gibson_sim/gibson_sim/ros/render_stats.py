@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Iterable
 from statistics import median
 from typing import Any
 
 from gibson_sim.sensors.schedule import images_due
 from gibson_sim.types import NS_PER_S, CameraSpec, Frame
+
+_KEPT = 10_000
+"""Times that medians are taken of: the newest, so that a run of days needs no more memory."""
 
 
 class RenderStats:
@@ -24,8 +28,8 @@ class RenderStats:
         self._outputs: dict[str, int] = {}
         self._messages: dict[str, int] = {}
         self._stamps: dict[str, int] = {}
-        self._draw_ms: list[float] = []
-        self._publish_ms: list[float] = []
+        self._draw_ms: deque[float] = deque(maxlen=_KEPT)
+        self._publish_ms: deque[float] = deque(maxlen=_KEPT)
         self._first_ns = self._last_ns = 0
         self._simulated_ns = 0
         self._reported = (time.monotonic_ns(), 0, 0)
