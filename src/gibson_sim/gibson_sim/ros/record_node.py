@@ -22,6 +22,8 @@ from gibson_sim.types import NS_PER_S
 
 DEPTH = 200
 """Messages of a topic that may wait for the disk."""
+MOST_WAITING = 1000
+"""Messages that wait for the first clock, beside latched ones."""
 PATIENCE_S = 30.0
 """Without /clock for so long, a user wants to know why nothing is recorded."""
 
@@ -128,7 +130,8 @@ class RecordNode(Node):
     def _on_message(self, topic: str, latched: bool, data: bytes) -> None:
         if self._now_ns:
             self._write(topic, data)
-        elif latched:
+        elif latched or len(self._waiting) < MOST_WAITING:
+            # The first clock may be handed out after what came behind it.
             self._waiting.append((topic, data))
 
     def _write(self, topic: str, data: bytes) -> None:
