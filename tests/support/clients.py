@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import signal
-import subprocess
 import sys
-import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -50,16 +48,8 @@ class LaunchedNode(Launched):
     """One node as a user starts it by hand, without the launcher."""
 
     def __init__(self, node: str, *ros_arguments: str, env: dict[str, str] | None = None) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-u", "-m", f"gibson_sim.ros.{node}_node", "--ros-args", *ros_arguments],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            env={**node_environment(), **(env or {})},
-        )
-        self.lines = []
-        self._thread = threading.Thread(target=self._read, daemon=True)
-        self._thread.start()
+        command = [sys.executable, "-u", "-m", f"gibson_sim.ros.{node}_node", "--ros-args", *ros_arguments]
+        self._start(command, {**node_environment(), **(env or {})})
 
     def kill(self) -> None:
         """Ends it at once, if it is still there."""

@@ -33,13 +33,10 @@ class Launched:
     """``gibson-sim`` in a process of its own, and what it said."""
 
     def __init__(self, *argv: str, env: dict[str, str] | None = None) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "gibson_sim.cli.main", *argv],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            env={**os.environ, **(env or {})},
-        )
+        self._start([sys.executable, "-m", "gibson_sim.cli.main", *argv], {**os.environ, **(env or {})})
+
+    def _start(self, command: list[str], env: dict[str, str]) -> None:
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=env)
         self.lines: list[str] = []
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()

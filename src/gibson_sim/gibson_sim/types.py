@@ -46,7 +46,8 @@ class Pose:
             raise ConfigError(f"quaternion {self.quat_xyzw} (x, y, z, w) has length {norm:g}; it must be 1: normalise it")
 
 
-def _check_seed(what: str, seed: int) -> None:
+def check_seed(what: str, seed: int) -> None:
+    """Raises ConfigError, which begins with ``what``, unless the seed fits a signed 64-bit integer and is not negative."""
     if not 0 <= seed < 2**63:
         raise ConfigError(f"{what}: seed is {seed}, must be 0 to {2**63 - 1}")
 
@@ -83,7 +84,7 @@ class ImageEffects:
         for name in ("shutter_s", "readout_s"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ConfigError(f"effects: {name} is {getattr(self, name):g} s, must be 0 to 1; was it given in milliseconds?")
-        _check_seed("effects", self.seed)
+        check_seed("effects", self.seed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +120,7 @@ class DepthNoise:
             raise ConfigError(f"depth_noise: hole_angle_deg is {self.hole_angle_deg:g}, must be in (0, 90]; 90 = no such holes")
         if not 0.0 <= self.hole_fraction <= 1.0:
             raise ConfigError(f"depth_noise: hole_fraction is {self.hole_fraction:g}, must be 0 to 1")
-        _check_seed("depth_noise", self.seed)
+        check_seed("depth_noise", self.seed)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ import re
 from dataclasses import dataclass, field
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.types import check_seed
 
 TOPIC = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
 """Names that ROS can use as a relative topic."""
@@ -134,7 +135,7 @@ class ImuSpec:
     def __post_init__(self) -> None:
         what = _name(self.name, self.link)
         _rate(what, self.rate_hz)
-        _seed(what, self.seed)
+        check_seed(what, self.seed)
         for key in ("gyro_noise", "accel_noise", "gyro_bias", "accel_bias", "gyro_bias_walk", "accel_bias_walk"):
             _not_negative(what, key, getattr(self, key))
 
@@ -232,7 +233,7 @@ class WheelOdometrySpec:
 
     def __post_init__(self) -> None:
         what = "wheel_odometry"
-        _seed(what, self.seed)
+        check_seed(what, self.seed)
         if not 0 <= self.encoder_ticks <= 100_000_000:
             raise ConfigError(f"{what}: encoder_ticks is {self.encoder_ticks}, must be 0 (exact) to 100000000")
         for key in ("left_radius_factor", "right_radius_factor", "separation_factor"):
@@ -280,7 +281,7 @@ def _ranging(what: str, spec: LidarSpec | Lidar3DSpec) -> None:
             f"{what}: range_min is {spec.range_min:g} and range_max {spec.range_max:g}, must be 0 <= range_min < range_max, finite"
         )
     _rate(what, spec.rate_hz)
-    _seed(what, spec.seed)
+    check_seed(what, spec.seed)
     for key in ("range_noise", "resolution"):
         _not_negative(what, key, getattr(spec, key))
     _part(what, "dropout", spec.dropout)
@@ -289,11 +290,6 @@ def _ranging(what: str, spec: LidarSpec | Lidar3DSpec) -> None:
 def _rate(what: str, rate_hz: float) -> None:
     if not 0.0 < rate_hz <= 1000.0:
         raise ConfigError(f"{what}: rate_hz is {rate_hz:g}, must be in (0, 1000]")
-
-
-def _seed(what: str, seed: int) -> None:
-    if not 0 <= seed < 2**63:
-        raise ConfigError(f"{what}: seed is {seed}, must be 0 to {2**63 - 1}")
 
 
 def _not_negative(what: str, key: str, value: float) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from dataclasses import replace
 from typing import Any
@@ -38,7 +37,6 @@ from gibson_sim.simulation.simulator import Simulator
 from gibson_sim.simulation.states import SimulationState
 from gibson_sim.types import NS_PER_S
 
-logger = logging.getLogger(__name__)
 WAIT_LIMIT_S = 120.0
 DISCOVERY_S, LATE_DISCOVERY_S = 3.0, 10.0
 """Within so long a new participant has heard of the others: usually, and on a busy machine."""

@@ -73,7 +73,8 @@ class RobotInterface:
         self._stamped_subscription = stamped.subscribe(TwistStamped, self._topic(names.CMD_VEL), self._commands)
         self._rates = {lidar.name: lidar.rate_hz for lidar in robot.sensors.lidars}
         self._imus: dict[str, FastImu] = {}
-        self._laid_out = -1
+        self._rows_of = -1
+        self._lay_out_messages()
         self._publish_latched()
 
     def _topic(self, name: str) -> str:
@@ -144,38 +145,39 @@ class RobotInterface:
     def publish_state(self, world: PhysicsWorld, state: SceneState) -> None:
         """Publishes where the robot is, with the stamp of the state."""
         name, stamp = self.robot.name, state.stamp_ns
-        if state.revision != self._laid_out:
-            self._lay_out(state)
-        odometry = world.odometry(name)
+        if state.revision != self._rows_of:
+            self._find_rows(state)
+        odometry, base = world.odometry(name), world.base_pose(name)
         odom_pose = conversions.odometry_pose(odometry)
         poses = [(*odom_pose.position, *odom_pose.quat_xyzw), *self._relative.of(state.positions, state.quats_xyzw)]
         if self._config.publish_map_tf:
-            truth = world.base_pose(name)
-            map_from_odom = pose_from_matrix(matrix_from_pose(truth) @ invert(matrix_from_pose(odom_pose)))
+            map_from_odom = pose_from_matrix(matrix_from_pose(base) @ invert(matrix_from_pose(odom_pose)))
             poses.append((*map_from_odom.position, *map_from_odom.quat_xyzw))
         self._tf_pub.publish(self._tf.serialize(stamp, poses))
         twist = (odometry.linear, odometry.lateral, 0.0), (0.0, 0.0, odometry.angular)
         self._odom_pub.publish(self._odom.serialize(stamp, odom_pose.position, odom_pose.quat_xyzw, *twist))
-        base, (linear, angular) = world.base_pose(name), world.base_twist(name)
+        linear, angular = world.base_twist(name)
         truth_msg = self._truth.serialize(stamp, base.position, base.quat_xyzw, linear.tolist(), angular.tolist())
         self._truth_pub.publish(truth_msg)
         self._joints_pub.publish(self._joints.serialize(stamp, world.joint_states(name)))
 
-    def _lay_out(self, state: SceneState) -> None:
-        """Prepares the messages; the rows of this robot's links are those of one revision of the scene."""
+    def _lay_out_messages(self) -> None:
+        """Prepares the messages whose shape never changes."""
         robot, prefix = self.robot, self.robot.frame_prefix
-        row = {link: i for i, link in enumerate(state.links)}
-        pairs = [(row[f"{robot.name}/{parent}"], row[f"{robot.name}/{child}"]) for _, parent, child in robot.moving_joints]
-        self._relative = RelativePoses(pairs)
         frames = [(self._odom_frame, self._base_frame), *((prefix + p, prefix + c) for _, p, c in robot.moving_joints)]
         if self._config.publish_map_tf:
             frames.append((WORLD_FRAME, self._odom_frame))
         self._tf = FastTf(frames)
-        covariances = conversions.odometry_covariances()
-        self._odom = FastOdometry(self._odom_frame, self._base_frame, *covariances)
+        self._odom = FastOdometry(self._odom_frame, self._base_frame, *conversions.odometry_covariances())
         self._truth = FastOdometry(WORLD_FRAME, self._base_frame)
         self._joints = FastJointStates([joint for joint, _, _ in robot.moving_joints])
-        self._laid_out = state.revision
+
+    def _find_rows(self, state: SceneState) -> None:
+        """Looks up this robot's links, whose rows are those of one revision of the scene."""
+        row, name = {link: i for i, link in enumerate(state.links)}, self.robot.name
+        pairs = [(row[f"{name}/{parent}"], row[f"{name}/{child}"]) for _, parent, child in self.robot.moving_joints]
+        self._relative = RelativePoses(pairs)
+        self._rows_of = state.revision
 
     def publish_sensors(self, measured: Measurements) -> None:
         """Publishes what was measured at a step, each with the stamp of that step."""
