@@ -28,6 +28,7 @@ from gibson_sim.scenes.mesh import MeshLoader  # noqa: E402
 
 pytestmark = pytest.mark.ros
 DURATION_S = 12
+CAMERA_HZ = 5
 
 
 @dataclass
@@ -56,7 +57,7 @@ def job(request: pytest.FixtureRequest, ros_domain: int, tmp_path_factory: pytes
         scene = str(request.getfixturevalue("data_dir") / scene)
     folder = tmp_path_factory.mktemp(request.param)
     launched = Launched(
-        "run", "--scene", scene, "--drive", "tour", "--duration", str(DURATION_S), "--camera-rate", "5",
+        "run", "--scene", scene, "--drive", "tour", "--duration", str(DURATION_S), "--camera-rate", str(CAMERA_HZ),
         "--record", str(folder / "bag"), "--video", str(folder / "film.mp4"), "--summary", str(folder / "summary.json"),
     )  # fmt: skip
     code = launched.wait()
@@ -74,7 +75,7 @@ def test_job_ends_by_itself_with_exit_code_zero(job: Job) -> None:
 def test_video_and_contact_sheet_show_something(job: Job) -> None:
     film = cv2.VideoCapture(str(job.folder / "film.mp4"))
     frames = int(film.get(cv2.CAP_PROP_FRAME_COUNT))
-    assert abs(frames - len(job.messages["/camera/image_raw"])) <= 2
+    assert abs(frames - CAMERA_HZ * DURATION_S) <= 2, "as long as the drive: a skipped image is the one before it"
     ok, picture = film.read()
     film.release()
     assert ok
@@ -86,7 +87,7 @@ def test_video_and_contact_sheet_show_something(job: Job) -> None:
 
 def test_every_image_has_the_stamp_of_an_odometry_and_of_its_camera_info(job: Job) -> None:
     odometry = set(job.stamps("/odom"))
-    assert len(job.messages["/camera/image_raw"]) >= 0.9 * 5 * DURATION_S
+    assert len(job.messages["/camera/image_raw"]) >= DURATION_S, "one a second, on the slowest machine"
     for image, info in (("image_raw", "camera_info"), ("depth/image_raw", "depth/camera_info")):
         stamps = job.stamps(f"/camera/{image}")
         assert set(stamps) <= odometry
@@ -189,5 +190,8 @@ def _distances(vertices: NDArray[np.float64], triangles: NDArray[np.int64], poin
 def test_summary_reports_what_was_measured(job: Job) -> None:
     summary = json.loads((job.folder / "summary.json").read_text())
     assert summary["physics"]["simulation_time_s"] == pytest.approx(DURATION_S, abs=0.02)
-    assert summary["render"]["images"]["camera"] == len(job.messages["/camera/image_raw"]) + 0
+    images = summary["render"]["images"]["camera"]
+    assert images == len(job.messages["/camera/image_raw"]), "every image that was drawn is in the bag"
+    due = CAMERA_HZ * DURATION_S
+    assert due - 5 <= images + summary["render"]["skipped_images"] <= due, "every other is counted, but for those at the very end"
     assert summary["physics"]["refused_commands"] == 0

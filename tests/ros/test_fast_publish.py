@@ -122,9 +122,9 @@ def test_scene_state_is_bit_equal(links: int, due: tuple[int, ...]) -> None:
     rows = np.arange(13.0 * links).reshape(links, 13)
     names = tuple(f"robot/link_{i}" for i in range(links))
     state = SceneState(STAMP_NS, 77, 5, names, rows[:, :3], rows[:, 3:7], rows[:, 7:])
-    message = conversions.scene_state_to_msg(state, due)
+    message = conversions.scene_state_to_msg(state, due, 2, 2**40)
     assert isinstance(message, RosSceneState)
-    _same(message, FastSceneState("map", links).serialize(state, due))
+    _same(message, FastSceneState("map", links).serialize(state, due, 2, 2**40))
 
 
 def test_state_with_another_number_of_links_is_refused() -> None:

@@ -136,6 +136,21 @@ class PhysicsConfig:
     service_prefix: str = setting(
         "", "Stands before the names of the services of simulation_interfaces, e.g. `sim/` or `/gzserver/`; empty = plain names"
     )
+    lockstep: bool = setting(
+        False, "A tick begins only when every participant has done the last one: renderers, and who joins; see docs/lockstep.md"
+    )
+    participants: str = setting(
+        "",
+        "Participants of lockstep without whom time does not begin, separated by `;`: names of those who say themselves what they have "
+        "done, as `render`; or rules for others, as `follow=cmd_vel after odom` or `nav=cmd_vel every 0.05`",
+    )
+    participant_timeout: float = setting(
+        30.0, "So long (wall time) a tick of lockstep waits for a participant", unit="s", minimum=0.01, maximum=86_400.0
+    )
+    on_timeout: str = setting(
+        "stop", "What happens then: end the run, or go on without that participant's answer", choices=("stop", "go_on")
+    )
+    digests: bool = setting(False, "Publish a number of all that each tick holds, on `tick_digest`, to compare runs by")
     wait_for: str = setting(
         "", "Hold the first tick until topics have so many subscribers, e.g. `scene_state:1,cameras:1` (120 s at most)"
     )
@@ -153,6 +168,8 @@ class PhysicsConfig:
             )
         self.wanted_outputs()
         self.wanted_subscribers()
+        if self.participants and not self.lockstep:
+            raise ConfigError("setting 'participants' is given without 'lockstep'; set that too, or leave this out")
 
     def wanted_outputs(self) -> tuple[Output, ...]:
         """Returns the outputs in ``camera_outputs``."""
@@ -215,6 +232,7 @@ class RenderConfig:
         "Where files of the physics machine lie on this one: `from=to` pairs of folders, separated by commas; "
         "empty = scenes, robots and objects are looked for by name",
     )
+    digests: bool = setting(False, "Publish a number of each image, on `tick_digest`, to compare runs by")
     summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
 
     def __post_init__(self) -> None:

@@ -17,6 +17,7 @@
         bags.writer.DiskFullError  the disk is full; the bag holds everything up to there
       EnvironmentProblemError      ROS, Python or the machine lacks something; the text names the remedy
       AlreadyRunningError          another simulation owns this ROS domain
+      LockstepError                a participant of lockstep is gone, or hangs
 
 Messages say what, which value, what is allowed and what to do. Nothing here imports anything.
 """
@@ -78,3 +79,7 @@ class EnvironmentProblemError(GibsonSimError):
 
 class AlreadyRunningError(GibsonSimError):
     """Another simulation owns this ROS domain."""
+
+
+class LockstepError(GibsonSimError):
+    """A participant of lockstep has not done a tick in time."""

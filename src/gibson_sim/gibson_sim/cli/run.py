@@ -50,6 +50,11 @@ def add_parser(subparsers: Any) -> None:
             "map",
             "map_resolution",
             "duration",
+            "lockstep",
+            "participants",
+            "participant_timeout",
+            "on_timeout",
+            "digests",
             "step_hz",
             "clock_hz",
             "publish_hz",
@@ -65,7 +70,7 @@ def add_parser(subparsers: Any) -> None:
     add_settings(
         parser,
         RenderConfig,
-        tuple(f.name for f in fields(RenderConfig) if f.name != "summary_path"),
+        tuple(f.name for f in fields(RenderConfig) if f.name not in ("digests", "summary_path")),
     )
     parser.add_argument("--no-render", action="store_true", help="physics alone, no images")
     drive = parser.add_argument_group("drive")
@@ -144,6 +149,8 @@ def _plan(args: argparse.Namespace, folder: Path) -> _Job:
         job.configs["render"] = settings_from_args(RenderConfig, args, summary_path=str(folder / "render.json"))
     elif args.video or args.snapshot:
         raise ConfigError("--no-render makes no images: leave it out, or leave out --video and --snapshot")
+    if wanted.lockstep and not args.no_render:
+        physics["participants"] = "; ".join(filter(None, ("render", wanted.participants)))
     physics["wait_for"] = ",".join(f"{topic}:{count}" for topic, count in waits.items())
     job.configs["physics"] = settings_from_args(PhysicsConfig, args, **physics)
     return job

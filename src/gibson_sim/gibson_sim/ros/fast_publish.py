@@ -243,7 +243,8 @@ class FastSceneState:
     def __init__(self, frame_id: str, links: int) -> None:
         layout = _Layout()
         layout.header(frame_id)
-        layout.places("QQ")
+        layout.places("QQQ")
+        layout.places("I")
         layout.number("I", 7 * links)
         if links:
             layout.block(7 * links)
@@ -253,8 +254,8 @@ class FastSceneState:
         self._pack, self._constants = layout.finish()
         self._poses = np.empty((links, 7), "<f8")
 
-    def serialize(self, state: SceneState, due_cameras: Sequence[int]) -> bytes:
-        """Returns the message of a state and of the cameras that are due at it.
+    def serialize(self, state: SceneState, due_cameras: Sequence[int], epoch: int = 0, epoch_step: int = 0) -> bytes:
+        """Returns the message of a state, of the cameras that are due at it, and of when that is: see SceneState.msg.
 
         Raises:
             ValueError: the state has another number of links.
@@ -264,8 +265,8 @@ class FastSceneState:
         if len(state.links) != len(poses):
             raise ValueError(f"the state has {len(state.links)} links, the message is laid out for {len(poses)} links")
         poses[:, :3], poses[:, 3:] = state.positions, state.quats_xyzw
-        start, frame, *rest = self._constants
-        values = [start, *divmod(state.stamp_ns, NS_PER_S), frame, state.revision, state.step]
+        start, frame, between, *rest = self._constants
+        values = [start, *divmod(state.stamp_ns, NS_PER_S), frame, state.revision, state.step, epoch_step, between, epoch]
         if len(poses):
             before_poses, before_twists, end = rest
             values += [before_poses, poses.tobytes(), before_twists, state.twists.tobytes(), end]

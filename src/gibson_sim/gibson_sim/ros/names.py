@@ -21,6 +21,11 @@ DIAGNOSTICS = "/diagnostics"
 MAP = "map"
 EPOCH = "simulation_epoch"
 REAL_TIME_FACTOR = "real_time_factor"
+TICK_DONE = "tick_done"
+TICK_DIGEST = "tick_digest"
+INPUTS = "inputs"
+INPUTS_AT = "inputs_at"
+RUN_INFO = "run_info"
 
 ODOM_FRAME = "odom"
 

@@ -29,8 +29,12 @@ class Pacer:
         self._rate = rate
         self.restart()
 
+    def give_back(self, ticks: int) -> None:
+        """Takes back ticks that were due and not made: they are due again."""
+        self._ticks -= ticks
+
     def due(self, now_ns: int) -> int:
-        """Returns how many ticks to make now; the first call starts the clock. The caller makes them all."""
+        """Returns how many ticks to make now; the first call starts the clock. The caller makes them all, or gives some back."""
         if self._rate == 0.0:
             return self._burst
         if self._start_ns is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -21,22 +22,30 @@ from gibson_sim.errors import AlreadyRunningError, ConfigError
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.resources import find_config
 from gibson_sim.ros import conversions, names, qos
+from gibson_sim.ros.digest_publisher import DigestPublisher
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.fast_publish import FastClock
+from gibson_sim.ros.journal import Journal
+from gibson_sim.ros.lockstep_gate import LockstepGate
 from gibson_sim.ros.node_main import goes_on, run_node, started_by_launcher, write_summary
 from gibson_sim.ros.pacing import Pacer
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.ros.robot_interface import RobotInterface
+from gibson_sim.ros.run_info import publish_run_info
 from gibson_sim.ros.simulation_services import SimulationServices
 from gibson_sim.ros.stamped_commands import StampedCommands
 from gibson_sim.ros.world_interface import WorldInterface
 from gibson_sim.scenes.placement import populate
 from gibson_sim.scenes.randomise_yaml import load_rules
 from gibson_sim.sensors.schedule import is_due
+from gibson_sim.sensors.suite import Measurements
+from gibson_sim.simulation.lockstep import CAMERAS
 from gibson_sim.simulation.simulator import Simulator
 from gibson_sim.simulation.states import SimulationState
-from gibson_sim.types import NS_PER_S
+from gibson_sim.types import NS_PER_S, CameraSpec, SceneState
 
+_MOST_TICKS_OF_LOCKSTEP = 16
+"""Ticks that nobody answers to, made in one turn."""
 WAIT_LIMIT_S = 120.0
 DISCOVERY_S, LATE_DISCOVERY_S = 3.0, 10.0
 """Within so long a new participant has heard of the others: usually, and on a busy machine."""
@@ -51,7 +60,11 @@ class PhysicsNode(Node):
         /clock (rosgraph_msgs/Clock) at ``clock_hz``, and with whatever else is published.
         real_time_factor (std_msgs/Float64): simulation time over wall time, once a second of wall time.
         /diagnostics (diagnostic_msgs/DiagnosticArray): real-time factor, time lost, commands, once a second of wall time.
-        And what ``WorldInterface`` and, for each robot, ``RobotInterface`` list.
+        run_info (gibson_msgs/RunInfo, latched): settings and surroundings.
+        tick_digest (gibson_msgs/TickDigest), with ``digests``: numbers of all that a tick holds.
+        And what ``WorldInterface``, ``Journal``, and, for each robot, ``RobotInterface`` list.
+
+    Subscribes, with ``lockstep``, to what ``LockstepGate`` lists.
 
     Services: those of ``SimulationServices``, the standard simulation_interfaces.
     """
@@ -72,7 +85,8 @@ class PhysicsNode(Node):
         rules = load_rules(find_config(config.randomise, "randomisation")) if config.randomise else None
         self._look_for_others()
         self._simulator = Simulator(scene, config)
-        self._pacer = Pacer(config.step_hz, config.rate, burst=config.step_hz // config.publish_hz)
+        ticks_at_once = _MOST_TICKS_OF_LOCKSTEP if config.lockstep else 1
+        self._pacer = Pacer(config.step_hz, config.rate, burst=ticks_at_once * config.step_hz // config.publish_hz)
         self._first_step: tuple[int, int] | None = None
         self._last_step, self._last_report = (0, 0), (0, 0)
         self._clock_message = FastClock()
@@ -80,14 +94,23 @@ class PhysicsNode(Node):
         self._factor_pub = self.create_publisher(Float64, names.REAL_TIME_FACTOR, qos.STATE)
         self._diagnostics_pub = self.create_publisher(DiagnosticArray, names.DIAGNOSTICS, qos.STATE)
         self._stamped = StampedCommands(self)
+        self._journal = Journal(self, self._simulator, self._on_input)
+        self._digests = DigestPublisher(self) if config.digests else None
         self._world_topics = WorldInterface(self, config, rules)
+        self._gate: LockstepGate | None = None
+        if config.lockstep:
+            self._gate = LockstepGate(self, config, self._on_tick_done, self._world_topics.publish_state_again)
         self._robots: dict[str, RobotInterface] = {}
         self._seen: tuple[PhysicsWorld | None, int] = (None, -1)
         self._seen_epoch = -1
         self._timer: Timer | None = None
-        self._standard = SimulationServices(self, self.simulator, config.service_prefix)
+        """From when time may pass."""
+        self._done = False
+        note = partial(self._journal.note, kind="srv")
+        self._standard = SimulationServices(self, self.simulator, config.service_prefix, note)
         self._follow_changes()
         spec = self.simulator.scene
+        self._run_info = publish_run_info(self, "physics", config, self._stamp_ns, scene_digest=spec.content_hash)
         places = "; ".join(f"{r.name} at {r.start.position[0]:.2f},{r.start.position[1]:.2f}" for r in spec.robots)
         self.get_logger().info(
             f"scene {spec.name}: {len(spec.visuals)} visuals, {len(spec.collisions)} collision shapes; {places or 'no robot'}"
@@ -156,7 +179,7 @@ class PhysicsNode(Node):
         assert self._stamped is not None
         for robot in world.scene.robots:
             if robot.name not in self._robots:
-                self._robots[robot.name] = RobotInterface(self, self._stamped, robot, world, self._config)
+                self._robots[robot.name] = RobotInterface(self, self._stamped, robot, world, self._config, self._on_input)
                 self._robots[robot.name].reset(world.step_count)
         self._world_topics.publish_scene(world)
         if new:
@@ -167,6 +190,10 @@ class PhysicsNode(Node):
         simulator = self.simulator
         world = simulator.world
         self._pacer.restart()
+        if self._gate is not None:
+            self._gate.restart()
+        if self._digests is not None:
+            self._digests.forget()
         steps, stamp_ns = (world.step_count, world.stamp_ns) if world is not None else (0, 0)
         for robot in self._robots.values():
             robot.reset(steps)
@@ -184,7 +211,6 @@ class PhysicsNode(Node):
         executor.add_node(self)
         self._wait_for_subscribers(executor)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._done = False
         self._set_timer()
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
         self._young_until = time.monotonic() + LATE_DISCOVERY_S
@@ -193,7 +219,16 @@ class PhysicsNode(Node):
         self._last_report = (time.monotonic_ns(), self._stamp_ns)
         while goes_on() and not self._done:
             executor.spin_once(timeout_sec=0.5)
+        self._end_last_tick(executor)
         return 0
+
+    def _end_last_tick(self, executor: Executor) -> None:
+        """Waits until everybody has done the tick at which ``duration`` ended."""
+        gate = self._gate
+        while gate is not None and gate.core.stamp_ns is not None and not gate.may_go():
+            if self.simulator.quitting or not goes_on():
+                return
+            executor.spin_once(timeout_sec=0.1)
 
     def _set_timer(self) -> None:
         """Wakes the loop as often as time has to pass at the present rate."""
@@ -201,17 +236,55 @@ class PhysicsNode(Node):
             self.destroy_timer(self._timer)
         rate = self._config.rate
         period = min(1.0 / (self._config.clock_hz * rate), 0.01) if rate else 1e-5
+        if self._gate is not None:
+            period = max(period, 1e-3)  # what it waits for wakes it; turning meanwhile would take the processor from those
         self._timer = self.create_timer(period, self._turn, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _turn(self) -> None:
-        """Makes the steps that are due now."""
-        simulator, now_ns = self.simulator, time.monotonic_ns()
+        """Makes the steps that are due now, as far as lockstep lets it."""
+        if self._done:
+            return
+        simulator, now_ns, gate = self.simulator, time.monotonic_ns(), self._gate
+        self._take_planned()
         self._follow_changes()
-        for _ in range(simulator.steps_due(self._pacer.due(now_ns))):
+        if gate is not None:
+            assert self._stamped is not None
+            for topic in self._stamped.arrived():
+                gate.core.receive(topic.lstrip("/"), now_ns)
+        left = simulator.steps_due(self._pacer.due(now_ns)) if gate is None or gate.may_go() else 0
+        while left and not self._done:
             self._step(now_ns)
-            if self._done:
-                return
+            left -= 1
+            self._take_planned()
+            if gate is not None and not gate.core.is_open:
+                if simulator.state is SimulationState.PLAYING:
+                    self._pacer.give_back(left)
+                break
         self._done = self._done or (self._standard is not None and self._standard.quit_is_answered)
+
+    def _on_tick_done(self) -> None:
+        """Makes the next tick now, not when the timer says so."""
+        if self._timer is not None and not self._done:
+            self._turn()
+
+    def _on_input(self, topic: str) -> None:
+        """Takes note that a command arrived, which lockstep may have waited for."""
+        if self._gate is not None:
+            self._gate.receive(topic)
+
+    def _take_planned(self) -> None:
+        """Obeys what was planned for the next step."""
+        while planned := self._journal.due():
+            for name, message in planned:
+                robot = next((robot for robot in self._robots.values() if name in robot.command_topics), None)
+                try:
+                    if robot is not None:
+                        robot.give(name, message)
+                    elif self._standard is not None:
+                        self._standard.repeat(name, message)
+                except ConfigError as error:
+                    self.get_logger().warning(f"a planned input is left out: {error}")
+            self._follow_changes()
 
     def _step(self, now_ns: int) -> None:
         """Makes one step and publishes what is due at it."""
@@ -219,7 +292,7 @@ class PhysicsNode(Node):
         assert world is not None, "steps are due in a world alone"
         self._first_step = self._first_step or (now_ns, world.stamp_ns)
         for robot in self._robots.values():
-            robot.take_commands(world)
+            robot.take_commands(world, self._journal)
         self.simulator.step()
         config, step, stamp_ns = self._config, world.step_count, world.stamp_ns
         ticks = config.step_hz // config.publish_hz
@@ -231,15 +304,35 @@ class PhysicsNode(Node):
             self._clock_pub.publish(self._clock_message.serialize(stamp_ns))
         if state is not None:
             for robot in self._robots.values():
-                robot.publish_state(world, state)
+                robot.publish_state(world, state, self._digests)
         for robot, measurements in measured:
             if measurements:
-                robot.publish_sensors(measurements)
+                robot.publish_sensors(measurements, self._digests)
         if state is not None:
-            # Last: who draws this state may count on its transforms.
-            self._world_topics.publish_state(state, step // ticks)
+            self._end_tick(state, step // ticks, dict(measured))
         self._last_step = (time.monotonic_ns(), stamp_ns)
         self._done = bool(config.duration) and stamp_ns >= config.duration * NS_PER_S
+
+    def _end_tick(self, state: SceneState, tick: int, measured: dict[RobotInterface, Measurements]) -> None:
+        """Publishes the state, last: who draws it may count on its transforms. In lockstep, the others then have their turn."""
+        simulator = self.simulator
+        epoch, epoch_step = simulator.epoch, simulator.epoch_step
+        if self._digests is not None:
+            self._digests.add(names.SCENE_STATE, state.links, state.positions, state.quats_xyzw, state.twists)
+            self._digests.publish(state.stamp_ns, epoch, epoch_step)
+        cameras = self._world_topics.publish_state(state, tick, epoch, epoch_step)
+        if self._gate is not None:
+            self._gate.publish_tick(state.stamp_ns, partial(self._topics_of_tick, cameras, measured))
+
+    def _topics_of_tick(self, cameras: tuple[CameraSpec, ...], measured: dict[RobotInterface, Measurements]) -> set[str]:
+        """Returns what was, and will be, published at a tick; without leading slashes."""
+        topics = {CAMERAS} if cameras else set()
+        for camera in cameras:
+            found = names.camera_topics(camera.name)
+            topics.update(found[output] for output in camera.outputs)
+        for robot, measurements in measured.items():
+            topics |= robot.topics_of_tick(measurements)
+        return topics
 
     @property
     def _stamp_ns(self) -> int:
@@ -283,7 +376,11 @@ class PhysicsNode(Node):
             "commands": sum(robot.commands_seen for robot in robots),
             "refused_commands": sum(robot.refused_commands for robot in robots),
             "missed_measurements": sum(sum(robot.sensors.misses.values()) for robot in robots),
+            "late_inputs": self._journal.late,
         }
+        if self._gate is not None:
+            values["lockstep_waits_for"] = ", ".join(self._gate.core.waits_for) or "nobody"
+            values["lockstep_timeouts"] = self._gate.timeouts
         status = DiagnosticStatus(
             level=DiagnosticStatus.WARN if behind else DiagnosticStatus.OK,
             name="gibson_sim: physics",
@@ -310,6 +407,7 @@ class PhysicsNode(Node):
             "commands": sum(robot.commands_seen for robot in robots),
             "refused_commands": sum(robot.refused_commands for robot in robots),
             "missed_measurements": {robot.robot.name: robot.sensors.misses for robot in robots},
+            **({} if self._gate is None else {"lockstep": self._gate.summary()}),
         }
 
     def close(self) -> None:

@@ -35,6 +35,12 @@ STATE = _profile(10)
 TF = _profile(100)
 CLOCK = _profile(10)
 COMMAND = _profile(1)
+TICK_DONE = _profile(100, latched=True)
+"""Latched: a participant may be there before the simulation is."""
+INPUTS = _profile(100)
+"""Inputs and digests of a run: none may be missing."""
+RUN_INFO = _profile(16, latched=True)
+"""One message of each node."""
 LATCHED = _profile(1, latched=True)
 """Late joiners get the last message: scene, static transforms, robot description."""
 

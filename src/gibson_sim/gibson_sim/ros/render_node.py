@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +21,15 @@ from gibson_sim.render.context import open_context
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.camera_publisher import REGISTERED, CameraPublisher
+from gibson_sim.ros.digest_publisher import DigestPublisher
+from gibson_sim.ros.lockstep_client import LockstepParticipant
 from gibson_sim.ros.node_main import run_node, spin_while, write_summary
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.ros.render_stats import RenderStats
+from gibson_sim.ros.run_info import publish_run_info
 from gibson_sim.scenes.asset_paths import with_local_files
 from gibson_sim.scenes.spec import DrawnScene
+from gibson_sim.simulation.lockstep import CAMERAS
 from gibson_sim.types import CameraSpec, Frame, SceneState as State
 
 _SCENE_PATIENCE_S = 2.0
@@ -56,6 +60,8 @@ class RenderNode(Node):
         <camera>/normal_world/image_raw (32FC3, optical frame and world frame, 0 = nothing), <camera>/position/image_raw (32FC3, world
         frame, metres, NaN = nothing), <camera>/flow/image_raw (32FC2, pixels right and down since the previous image, NaN =
         nothing), each with its camera_info.
+        run_info (gibson_msgs/RunInfo, latched); tick_done (gibson_msgs/TickDone), for lockstep; with ``digests``: tick_digest
+        (gibson_msgs/TickDigest), of images before depth noise.
         /diagnostics (diagnostic_msgs/DiagnosticArray): images a second, skipped, milliseconds to draw; once a second.
     """
 
@@ -78,6 +84,9 @@ class RenderNode(Node):
         self._foreign_since = 0.0
         self._previous: dict[str, State] = {}
         self._stats = RenderStats()
+        self._lockstep: LockstepParticipant | None = None
+        self._last_done = (-1, -1)
+        self._digests = DigestPublisher(self) if self._config.digests else None
         self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
         self._diagnostics_pub = qos.make_publisher(self, DiagnosticArray, names.DIAGNOSTICS, qos.STATE)
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -134,6 +143,8 @@ class RenderNode(Node):
             )
         if self._state_subscription is None:
             self._state_subscription = self.create_subscription(SceneState, names.SCENE_STATE, self._on_state, qos.STATE)
+            self._lockstep = LockstepParticipant(self, after=CAMERAS)
+            self._run_info = publish_run_info(self, "render", self._config, 0, opengl=dict(info))
 
     def _take_cameras(self, scene: DrawnScene) -> None:
         """Makes the topics of cameras that are new, keeps those of the ones that stayed, and removes the others."""
@@ -177,8 +188,12 @@ class RenderNode(Node):
         for i in due:
             if not wanted[i]:
                 self._stats.count_due(self._cameras[i].camera, 0, wanted=False)
-        if newest is not None:
+        if newest is not None and (newest.epoch, newest.step) != self._last_done:
             self._draw(newest, {i: wanted[i] for i in newest.due_cameras if i in due})
+        asked = next((state for state in reversed(ours) if state.due_cameras), None)
+        if asked is not None and self._lockstep is not None:
+            self._last_done = (asked.epoch, asked.step)
+            self._lockstep.done(asked.header.stamp)
 
     def _note_foreign(self, states: Sequence[SceneState], ours: bool) -> None:
         """Keeps the newest state of a revision whose scene is still to come; warns where it does not come."""
@@ -217,6 +232,8 @@ class RenderNode(Node):
             if kinds:
                 self._stats.count_due(self._cameras[i].camera, stamp_ns, wanted=True)
                 self._cameras[i].publish_info(stamp_ns, kinds)
+        if self._digests is not None:
+            self._digests.publish(stamp_ns, msg.epoch, msg.epoch_step)
         if frames:
             self._stats.add(started, drawn, time.monotonic_ns(), frames, messages)
 
@@ -238,11 +255,20 @@ class RenderNode(Node):
     def _publish(self, frames: dict[int, Frame], wanted: dict[int, frozenset[str]], state: State) -> list[str]:
         """Publishes images; returns the kinds of messages, each after the name of its camera."""
         done: list[str] = []
+        if self._digests is not None:
+            self._add_digests(frames.values())
         for i, frame in frames.items():
             publisher = self._cameras[i]
             T_target_camera = self._registration(publisher, state, frame) if REGISTERED in wanted[i] else None
             done += [f"{publisher.camera.name}/{kind}" for kind in publisher.publish(frame, wanted[i], T_target_camera)]
         return done
+
+    def _add_digests(self, frames: Iterable[Frame]) -> None:
+        assert self._digests is not None
+        for frame in frames:
+            topics = names.camera_topics(frame.camera.name)
+            for output in frame.camera.outputs:
+                self._digests.add(topics[output], getattr(frame, output))
 
     def _registration(self, publisher: CameraPublisher, state: State, frame: Frame) -> Mat4 | None:
         """Returns where the camera of a frame is, as the camera sees it that its depth is registered to."""

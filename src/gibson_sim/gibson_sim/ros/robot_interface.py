@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import Twist, TwistStamped, WrenchStamped
@@ -20,7 +22,9 @@ from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_m
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.ros import conversions, names, qos
+from gibson_sim.ros.digest_publisher import DigestPublisher
 from gibson_sim.ros.fast_publish import FastImu, FastJointStates, FastOdometry, FastTf, RelativePoses
+from gibson_sim.ros.journal import Journal
 from gibson_sim.ros.stamped_commands import StampedCommands
 from gibson_sim.scenes.spec import WORLD_FRAME
 from gibson_sim.sensors.imu import ImuReading
@@ -49,9 +53,15 @@ class RobotInterface:
     """
 
     def __init__(
-        self, node: Node, stamped: StampedCommands, robot: RobotSpec, world: PhysicsWorld, config: PhysicsConfig
+        self,
+        node: Node,
+        stamped: StampedCommands,
+        robot: RobotSpec,
+        world: PhysicsWorld,
+        config: PhysicsConfig,
+        received: Callable[[str], None],
     ) -> None:
-        """Makes the publishers and publishes what never changes."""
+        """Makes the publishers and publishes what never changes; ``received`` is called with the topic of each command."""
         self.robot = robot
         self.refused_commands = self.commands_seen = 0
         self._node, self._config = node, config
@@ -60,15 +70,17 @@ class RobotInterface:
         self._publishers: list[Publisher] = []
         self._make_publishers()
         self.sensors = SensorSuite(robot, config.step_hz, config.publish_hz, world.scene.gravity, config.seed)
-        self._commands: deque[Any] = deque(maxlen=_MOST_COMMANDS)
+        self._commands: deque[tuple[str, Any]] = deque(maxlen=_MOST_COMMANDS)
+        self._received = received
         self._subscriptions = [
-            node.create_subscription(kind, self._topic(name), lambda msg: self._commands.append(msg), qos.COMMAND)
+            node.create_subscription(kind, self._topic(name), partial(self._take, self._resolved(name)), qos.COMMAND)
             for kind, name in (
                 (Twist, names.CMD_VEL),
                 (JointTrajectory, names.JOINT_TRAJECTORY),
                 (JointState, names.JOINT_COMMAND),
             )
         ]
+        self.command_topics = frozenset(map(self._resolved, (names.CMD_VEL, names.JOINT_TRAJECTORY, names.JOINT_COMMAND)))
         self._stamped = stamped
         self._stamped_subscription = stamped.subscribe(TwistStamped, self._topic(names.CMD_VEL), self._commands)
         self._rates = {lidar.name: lidar.rate_hz for lidar in robot.sensors.lidars}
@@ -79,6 +91,28 @@ class RobotInterface:
 
     def _topic(self, name: str) -> str:
         return f"{self.robot.namespace}/{name}" if self.robot.namespace else name
+
+    def _resolved(self, name: str) -> str:
+        return self._node.resolve_topic_name(self._topic(name))
+
+    def _take(self, topic: str, msg: Any) -> None:
+        self.give(topic, msg)
+        self._received(topic)
+
+    def give(self, topic: str, msg: Any) -> None:
+        """Takes a command for the next step, as if it had arrived on ``topic``."""
+        self._commands.append((topic, msg))
+
+    def topics_of_tick(self, measured: Measurements) -> set[str]:
+        """Returns what was published at a tick at which this was measured; without a leading slash."""
+        kinds = (measured.scans, measured.clouds, measured.imus, measured.bumpers, measured.batteries)
+        found = (
+            names.ODOM,
+            names.GROUND_TRUTH,
+            names.JOINT_STATES,
+            *(reading.name for readings in kinds for reading in readings),
+        )
+        return {self._resolved(name).lstrip("/") for name in found}
 
     def _publisher(self, kind: type[Any], topic: str, profile: Any) -> Publisher:
         publisher = self._node.create_publisher(kind, topic, **qos.overridable(profile))
@@ -124,12 +158,14 @@ class RobotInterface:
                 transforms.append(conversions.transform_to_msg(0, parent, camera.optical_frame, camera.pose))
         self._tf_static_pub.publish(TFMessage(transforms=transforms))
 
-    def take_commands(self, world: PhysicsWorld) -> None:
-        """Hands the commands that arrived since the last step to the world, in the order of their arrival."""
+    def take_commands(self, world: PhysicsWorld, journal: Journal) -> None:
+        """Hands the commands that arrived since the last step to the world, in the order of their arrival, and notes them."""
         while self._commands:
             self.commands_seen += 1
+            topic, msg = self._commands.popleft()
+            journal.note(topic, msg)
             try:
-                self._obey(world, self._commands.popleft())
+                self._obey(world, msg)
             except CommandError as error:
                 self.refused_commands += 1
                 self._node.get_logger().warning(str(error), throttle_duration_sec=1.0)
@@ -142,7 +178,7 @@ class RobotInterface:
             twist = msg.twist if isinstance(msg, TwistStamped) else msg
             world.command(name, conversions.velocity_from_msg(twist, now))
 
-    def publish_state(self, world: PhysicsWorld, state: SceneState) -> None:
+    def publish_state(self, world: PhysicsWorld, state: SceneState, digests: DigestPublisher | None = None) -> None:
         """Publishes where the robot is, with the stamp of the state."""
         name, stamp = self.robot.name, state.stamp_ns
         if state.revision != self._rows_of:
@@ -159,7 +195,12 @@ class RobotInterface:
         linear, angular = world.base_twist(name)
         truth_msg = self._truth.serialize(stamp, base.position, base.quat_xyzw, linear.tolist(), angular.tolist())
         self._truth_pub.publish(truth_msg)
-        self._joints_pub.publish(self._joints.serialize(stamp, world.joint_states(name)))
+        joints = world.joint_states(name)
+        self._joints_pub.publish(self._joints.serialize(stamp, joints))
+        if digests is not None:
+            digests.add(self._topic(names.ODOM), odometry)
+            digests.add(self._topic(names.GROUND_TRUTH), base, linear, angular)
+            digests.add(self._topic(names.JOINT_STATES), joints)
 
     def _lay_out_messages(self) -> None:
         """Prepares the messages whose shape never changes."""
@@ -179,8 +220,12 @@ class RobotInterface:
         self._relative = RelativePoses(pairs)
         self._rows_of = state.revision
 
-    def publish_sensors(self, measured: Measurements) -> None:
+    def publish_sensors(self, measured: Measurements, digests: DigestPublisher | None = None) -> None:
         """Publishes what was measured at a step, each with the stamp of that step."""
+        if digests is not None:
+            for readings in (measured.scans, measured.clouds, measured.imus, measured.bumpers, measured.batteries):
+                for reading in readings:
+                    digests.add(self._topic(reading.name), reading)
         for scan in measured.scans:
             scan_time = 1.0 / self._rates[scan.name]
             self._sensor_pubs[scan.name].publish(conversions.scan_to_msg(scan, self._frame(scan.link), scan_time))

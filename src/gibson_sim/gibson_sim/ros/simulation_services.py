@@ -24,7 +24,7 @@ from simulation_interfaces.action import SimulateSteps
 from simulation_interfaces.msg import SpawnResult
 
 from gibson_sim import __version__
-from gibson_sim.errors import GibsonSimError
+from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.ros import simulation_conversions as convert
 from gibson_sim.ros.deferred import DeferredService, Later
 from gibson_sim.scenes.spawning import SPAWN_FORMATS
@@ -34,10 +34,26 @@ from gibson_sim.simulation.codes import Result, SimulationError, SpawnEntitiesCo
 from gibson_sim.simulation.features import supported_features
 from gibson_sim.simulation.requests import LoadRequest, WorldInfo
 from gibson_sim.simulation.simulator import Simulator
+from gibson_sim.simulation.states import SimulationState
 from gibson_sim.simulation.stepping import StepRequest
 
 logger = logging.getLogger(__name__)
 
+_CHANGING = frozenset(
+    {
+        "set_simulation_state",
+        "reset_simulation",
+        "set_entity_state",
+        "spawn_entity",
+        "spawn_entities",
+        "delete_entity",
+        "load_world",
+        "unload_world",
+    }
+)
+"""What changes the course of things, and not only when they happen."""
+_CHANGING_STATES = (SimulationState.STOPPED, SimulationState.PLAYING)
+"""To stop is to reset, and a world that was loaded has to be started; a pause changes nothing."""
 SPAWNS_AT_ONCE = 50
 """Entities of one request that are spawned before the loop goes on."""
 QUIT_GRACE_S = 0.3
@@ -55,14 +71,23 @@ class SimulationServices:
     Actions (simulation_interfaces/action): SimulateSteps.
     """
 
-    def __init__(self, node: Node, simulator: Simulator, prefix: str = "") -> None:
-        """Starts to offer them; ``prefix`` may hold a namespace, such as ``sim/``. The node must be given to an executor."""
-        self._node, self._simulator = node, simulator
+    def __init__(
+        self, node: Node, simulator: Simulator, prefix: str = "", note: Callable[[str, Any], None] = lambda name, request: None
+    ) -> None:
+        """Starts to offer them. The node must be given to an executor.
+
+        Args:
+            node: on whose behalf.
+            simulator: what they are about.
+            prefix: stands before their names; it may hold a namespace, such as ``sim/``.
+            note: is called with name and request before a request changes the simulation.
+        """
+        self._node, self._simulator, self._prefix, self._note = node, simulator, prefix, note
         self._closed, self._quit_s = False, -math.inf
         self._goals: dict[bytes, StepRequest] = {}
         group = ReentrantCallbackGroup()
         self._services = [
-            DeferredService(node, kind, f"{prefix}{name}", partial(self._handle, handler), callback_group=group)
+            DeferredService(node, kind, f"{prefix}{name}", partial(self._handle, name, handler), callback_group=group)
             for kind, name, handler in self._table()
         ]
         self._action = ActionServer(
@@ -113,8 +138,24 @@ class SimulationServices:
             (srv.GetCurrentWorld, "get_current_world", self._get_current_world),
         ]
 
-    def _handle(self, handler: Callable[[Any, Any], Later | str | None], request: Any, response: Any) -> Any:
+    def repeat(self, name: str, request: Any) -> None:
+        """Does what a request asked for in a recorded run; nobody waits for the answer.
+
+        Raises:
+            ConfigError: there is no such service.
+        """
+        for kind, known, handler in self._table():
+            if self._node.resolve_service_name(f"{self._prefix}{known}") == name:
+                response = self._handle(known, handler, request, kind.Response())
+                if not isinstance(response, Later) and response.result.result != Result.OK:
+                    logger.warning("%s, repeated from a record: %s", name, response.result.error_message)
+                return
+        raise ConfigError(f"there is no service {name!r} that a record could repeat; was it made with another 'service_prefix'?")
+
+    def _handle(self, name: str, handler: Callable[[Any, Any], Later | str | None], request: Any, response: Any) -> Any:
         """Answers a request: a handler returns None or a remark where all is well, and a Later where it takes longer."""
+        if name in _CHANGING and not (name == "set_simulation_state" and request.state.state not in _CHANGING_STATES):
+            self._note(self._node.resolve_service_name(f"{self._prefix}{name}"), request)
         try:
             outcome = handler(request, response)
         except Exception as error:

@@ -22,6 +22,7 @@ class StampedCommands:
 
     def __init__(self, node: Node) -> None:
         self._owner = node
+        self._arrived: deque[str] = deque()
         self._context = rclpy.Context()
         self._context.init(domain_id=node.context.get_domain_id())
         self._node = Node(
@@ -36,10 +37,19 @@ class StampedCommands:
         self._thread = Thread(target=self._spin, name="stamped-commands", daemon=True)
         self._thread.start()
 
-    def subscribe(self, kind: type[Any], topic: str, commands: deque[Any]) -> Any:
-        """Returns a subscription that puts what arrives on a topic of the owner into ``commands``."""
+    def subscribe(self, kind: type[Any], topic: str, commands: deque[tuple[str, Any]]) -> Any:
+        """Returns a subscription that puts (topic, message) of what arrives on a topic of the owner into ``commands``."""
         topic = self._owner.resolve_topic_name(topic)
-        return self._node.create_subscription(kind, topic, lambda msg: commands.append(msg), qos.COMMAND)
+
+        def take(msg: Any) -> None:
+            commands.append((topic, msg))
+            self._arrived.append(topic)
+
+        return self._node.create_subscription(kind, topic, take, qos.COMMAND)
+
+    def arrived(self) -> list[str]:
+        """Returns the topics of what arrived since the last call, once for each message. For the main thread."""
+        return [self._arrived.popleft() for _ in range(len(self._arrived))]
 
     def unsubscribe(self, subscription: Any) -> None:
         """Ends a subscription."""

@@ -47,6 +47,7 @@ class WorldInterface:
         self._withdrawn = False
         self._fast_state: FastSceneState | None = None
         self._laid_out = -1
+        self._last_state = b""
         self.cameras: tuple[CameraSpec, ...] = ()
         """In the order that ``due_cameras`` counts."""
 
@@ -59,12 +60,19 @@ class WorldInterface:
         self.cameras = drawn.cameras
         self._scene_pub.publish(conversions.scene_to_msg(drawn, world.stamp_ns))
 
-    def publish_state(self, state: State, tick: int) -> None:
-        """Publishes all poses, and which cameras are due at ``tick``, which counts at ``publish_hz``."""
+    def publish_state(self, state: State, tick: int, epoch: int, epoch_step: int) -> tuple[CameraSpec, ...]:
+        """Publishes all poses; returns the cameras that are due at ``tick``, which counts at ``publish_hz``."""
         due = tuple(i for i, c in enumerate(self.cameras) if is_due(tick, c.rate_hz, self._config.publish_hz))
         if self._fast_state is None or self._laid_out != state.revision:
             self._fast_state, self._laid_out = FastSceneState(WORLD_FRAME, len(state.links)), state.revision
-        self._state_pub.publish(self._fast_state.serialize(state, due))
+        self._last_state = self._fast_state.serialize(state, due, epoch, epoch_step)
+        self._state_pub.publish(self._last_state)
+        return tuple(self.cameras[i] for i in due)
+
+    def publish_state_again(self) -> None:
+        """Publishes the last state once more, for a renderer that came too late for it."""
+        if self._last_state:
+            self._state_pub.publish(self._last_state)
 
     def publish_epoch(self, epoch: int, stamp_ns: int, scope: int, *, rewound: bool) -> None:
         """Says that the simulation was reset."""

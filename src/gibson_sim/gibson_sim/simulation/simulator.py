@@ -83,6 +83,7 @@ class Simulator:
         self._steps_before = 0
         self.epoch = 0
         """Counts resets and worlds."""
+        self._epoch_start = 0
         self.last_reset = LastReset()
         if scene is not None:
             self._enter(scene, uri=config.scene)
@@ -354,6 +355,12 @@ class Simulator:
             self._world.close()
         self._world = self._population = self._info = self._first_scene = None
 
+    @property
+    def epoch_step(self) -> int:
+        """Steps since the epoch began."""
+        return 0 if self._world is None else self._world.step_count - self._epoch_start
+
     def _begin_epoch(self, reset: LastReset) -> None:
+        self._epoch_start = 0 if self._world is None else self._world.step_count
         self.epoch += 1
         self.last_reset = reset

@@ -260,12 +260,13 @@ def _camera_from_msg(msg: RosCamera, link: str) -> CameraSpec:
     )
 
 
-def scene_state_to_msg(state: SceneState, due_cameras: tuple[int, ...]) -> RosSceneState:
+def scene_state_to_msg(state: SceneState, due_cameras: tuple[int, ...], epoch: int = 0, epoch_step: int = 0) -> RosSceneState:
     """Returns the state as a message."""
     msg = RosSceneState(header=header_to_msg(state.stamp_ns, WORLD_FRAME), revision=state.revision, step=state.step)
     msg.poses = array("d", np.hstack([state.positions, state.quats_xyzw]).tobytes())
     msg.twists = array("d", state.twists.tobytes())
     msg.due_cameras = array("I", due_cameras)
+    msg.epoch, msg.epoch_step = epoch, epoch_step
     return msg
 
 
