@@ -149,8 +149,9 @@ def _plan(args: argparse.Namespace, folder: Path) -> _Job:
         job.configs["render"] = settings_from_args(RenderConfig, args, summary_path=str(folder / "render.json"))
     elif args.video or args.snapshot:
         raise ConfigError("--no-render makes no images: leave it out, or leave out --video and --snapshot")
-    if wanted.lockstep and not args.no_render:
-        physics["participants"] = "; ".join(filter(None, ("render", wanted.participants)))
+    if wanted.lockstep:
+        ours = ["drive"] * bool(args.drive) + ["render"] * (not args.no_render)
+        physics["participants"] = "; ".join(filter(None, (*ours, wanted.participants)))
     physics["wait_for"] = ",".join(f"{topic}:{count}" for topic, count in waits.items())
     job.configs["physics"] = settings_from_args(PhysicsConfig, args, **physics)
     return job

@@ -20,6 +20,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.path_tracking import PathFollower, ScriptedDrive, scripted_drive
 from gibson_sim.ros import conversions, names, qos
+from gibson_sim.ros.lockstep_client import LockstepParticipant
 from gibson_sim.ros.node_main import run_node, spin_while
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.scenes.load import load_scene
@@ -43,7 +44,7 @@ class DriveNode(Node):
             simulation time at any rate.
 
     Publishes:
-        cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``).
+        cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``); tick_done (gibson_msgs/TickDone), for lockstep.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -68,6 +69,9 @@ class DriveNode(Node):
         self.create_subscription(Odometry, names.GROUND_TRUTH, self._on_odometry, qos.STATE)
         self.create_timer(NO_ODOMETRY_S, self._complain_if_alone, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._done = False
+        self._lockstep = None
+        if config.drive != "keyboard":  # a person does not answer every tick
+            self._lockstep = LockstepParticipant(self, after=names.GROUND_TRUTH)
 
     def _on_odometry(self, msg: Odometry) -> None:
         """Answers each odometry with one command."""
@@ -78,6 +82,8 @@ class DriveNode(Node):
             self._drive = self._plan(x, y)
         linear, angular = self._drive.command(x, y, yaw, stamp_ns)
         self._send(linear, angular, msg.header.stamp)
+        if self._lockstep is not None:
+            self._lockstep.done(msg.header.stamp, (self._publisher.topic_name,))
         self._done = self._drive.done
 
     def _plan(self, x: float, y: float) -> _Drive:
