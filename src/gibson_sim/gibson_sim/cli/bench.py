@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.cli import bench_ros, bench_tensors
+from gibson_sim.cli import bench_lockstep, bench_ros, bench_tensors
 from gibson_sim.config import DETAIL_PX
 from gibson_sim.errors import ConfigError
 from gibson_sim.types import OUTPUTS
@@ -25,6 +25,7 @@ def add_parser(subparsers: Any) -> None:
     _add_render(kinds)
     bench_tensors.add_parser(kinds)
     bench_ros.add_parser(kinds)
+    bench_lockstep.add_parser(kinds)
 
 
 def _add_render(kinds: Any) -> None:

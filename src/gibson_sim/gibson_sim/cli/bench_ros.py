@@ -5,18 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import signal
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
-
-import yaml
 
 from gibson_sim.bench import timing
 from gibson_sim.bench.ros import (
@@ -32,17 +27,14 @@ from gibson_sim.bench.ros import (
     spread,
 )
 from gibson_sim.bench.ros_report import report_text
+from gibson_sim.cli.bench_processes import CAMERA, BenchError, answer, process, role, write_robot
 from gibson_sim.cli.environment import RMW, domain_of, node_environment, require_nodes
 from gibson_sim.cli.processes import DomainLock
 from gibson_sim.cli.shared_memory import remove_dead_segments
-from gibson_sim.errors import ConfigError, GibsonSimError
-from gibson_sim.resources import find_robot
+from gibson_sim.errors import ConfigError
 
-PATIENCE_S = 120.0
-"""How much longer than it should a process may take before it is given up."""
 START_S = 90.0
 """Within so long a simulation has loaded its scene."""
-ROBOT, CAMERA = "gibson_bot", "camera"
 Tell = Callable[[str], None]
 
 
@@ -130,10 +122,6 @@ def measure(plan: Plan, *, domain_id: int | None = None, tell: Tell = lambda lin
     )
 
 
-class BenchError(GibsonSimError):
-    """A scenario came to nothing."""
-
-
 _Scenario = tuple[str, Callable[[], Any]]
 
 
@@ -158,24 +146,24 @@ def _scenarios(plan: Plan, environment: Mapping[str, str]) -> Iterator[tuple[str
 
 
 def _round_trip(plan: Plan, environment: Mapping[str, str], executor: str, form: str) -> RoundTrip:
-    with _role(environment, "pong", executor=executor, form=form):
+    with role(environment, "pong", executor=executor, form=form):
         options = {"executor": executor, "form": form, "bodies": plan.bodies, "count": plan.round_trips}
-        found = _answer(environment, "ping", plan.round_trips * 0.05, **options)
+        found = answer(environment, "ping", plan.round_trips * 0.05, **options)
     return RoundTrip(executor, form, plan.bodies, len(found["us"]), spread(found["us"]))
 
 
 def _transport(plan: Plan, environment: Mapping[str, str], executor: str) -> Transport:
     size, hz = plan.transport_size, plan.transport_hz
     options = {"width": size.width, "height": size.height, "hz": hz, "count": plan.transport_images}
-    with _role(environment, "image_source", **options):
-        ages = _answer(environment, "image_sink", plan.transport_images / hz, executor=executor)["ms"]
+    with role(environment, "image_source", **options):
+        ages = answer(environment, "image_sink", plan.transport_images / hz, executor=executor)["ms"]
     return Transport(executor, size, hz, plan.transport_images, len(ages), spread(ages))
 
 
 def _clock(plan: Plan, environment: Mapping[str, str], who: Any) -> ClockCost:
     options = {"executor": who.executor, "use_sim_time": who.use_sim_time, "parameter_services": who.parameter_services}
-    with _role(environment, "clock_source", hz=plan.clock_hz):
-        found = _answer(environment, "listener", plan.clock_s, seconds=plan.clock_s, **options)
+    with role(environment, "clock_source", hz=plan.clock_hz):
+        found = answer(environment, "listener", plan.clock_s, seconds=plan.clock_s, **options)
     percent, seconds, clock_s = round(found["cpu_percent"], 3), round(found["seconds"], 2), round(found["clock_s"], 2)
     return ClockCost(who.executor, who.use_sim_time, who.parameter_services, seconds, percent, clock_s)
 
@@ -185,88 +173,10 @@ def _pipeline(plan: Plan, environment: Mapping[str, str], size: Size, hz: float)
         robot = write_robot(Path(folder), size)
         options = ["--scene", plan.scene, "--robot", str(robot), "--camera-rate", f"{hz:g}", "--camera-outputs", "rgb,depth"]
         command = [sys.executable, "-m", "gibson_sim.cli.main", "run", *options]
-        with _process(command, environment):
+        with process(command, environment):
             topics = [f"{CAMERA}/image_raw", f"{CAMERA}/depth/image_raw"]
-            heard = _answer(environment, "pipeline_sink", START_S + plan.pipeline_s, topics=topics, seconds=plan.pipeline_s)
+            heard = answer(environment, "pipeline_sink", START_S + plan.pipeline_s, topics=topics, seconds=plan.pipeline_s)
     return pipeline_of(size, hz, heard)
-
-
-def write_robot(folder: Path, size: Size) -> Path:
-    """Writes our robot with images of another size into a folder; returns its file."""
-    original = find_robot(ROBOT)
-    settings = yaml.safe_load((original / "robot.yaml" if original.is_dir() else original).read_text(encoding="utf-8"))
-    home = original if original.is_dir() else original.parent
-    settings["urdf"] = str((home / settings["urdf"]).resolve())
-    settings["cameras"] = [{**settings["cameras"][0], "width": size.width, "height": size.height}]
-    path = folder / "robot.yaml"
-    path.write_text(yaml.safe_dump(settings), encoding="utf-8")
-    return path
-
-
-def _command(role: str, options: Mapping[str, Any]) -> list[str]:
-    return [sys.executable, "-m", "gibson_sim.ros.bench_nodes", role, json.dumps(options)]
-
-
-@contextmanager
-def _role(environment: Mapping[str, str], role: str, **options: Any) -> Iterator[None]:
-    """Plays a role in a process of its own while the block lasts."""
-    with _process(_command(role, options), environment):
-        yield
-
-
-@contextmanager
-def _process(command: list[str], environment: Mapping[str, str]) -> Iterator[None]:
-    """Runs a process while the block lasts; what it says matters only where the block fails."""
-    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as output:
-        process = subprocess.Popen(command, env=dict(environment), stdin=subprocess.DEVNULL, stdout=output, stderr=output)
-        try:
-            yield
-        except BenchError as error:
-            code = process.poll()
-            output.seek(0)
-            how = "runs" if code is None else f"ended with code {code}"
-            raise BenchError(f"{error}; the other process {how}: {_last_line(output.read())}") from error
-        finally:
-            _end(process)
-
-
-def _end(process: subprocess.Popen[Any]) -> None:
-    for number, seconds in ((signal.SIGINT, 20.0), (signal.SIGKILL, 10.0)):
-        if process.poll() is None:
-            process.send_signal(number)
-        try:
-            process.wait(seconds)
-            return
-        except subprocess.TimeoutExpired:
-            continue
-
-
-def _answer(environment: Mapping[str, str], role: str, expected_s: float, **options: Any) -> dict[str, Any]:
-    """Returns what a role found.
-
-    Raises:
-        BenchError: nothing, or it took far too long.
-    """
-    try:
-        done = subprocess.run(
-            _command(role, options),
-            env=dict(environment),
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=expected_s + PATIENCE_S,
-        )
-    except subprocess.TimeoutExpired:
-        raise BenchError(f"the {role} process was still at it after {expected_s + PATIENCE_S:.0f} s") from None
-    lines = done.stdout.splitlines()
-    if done.returncode or not lines:
-        raise BenchError(f"the {role} process ended with code {done.returncode}: {_last_line(done.stderr)}")
-    found: dict[str, Any] = json.loads(lines[-1])
-    return found
-
-
-def _last_line(text: str) -> str:
-    return next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "it said nothing")
 
 
 def _python() -> str:

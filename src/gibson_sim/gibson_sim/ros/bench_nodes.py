@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 import rclpy
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -24,6 +26,7 @@ from gibson_msgs.msg import SceneState as RosSceneState
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.fast_publish import FastClock, FastSceneState
+from gibson_sim.ros.lockstep_client import LockstepParticipant
 from gibson_sim.ros.node_main import end_with_parent, keep_large_blocks
 from gibson_sim.scenes.spec import WORLD_FRAME
 from gibson_sim.types import NS_PER_S, SceneState
@@ -34,6 +37,8 @@ PING, PONG, IMAGES = "gibson_sim_bench/ping", "gibson_sim_bench/pong", "gibson_s
 END = "end"
 """``frame_id`` of the last image."""
 WARM_UP_S, STRAGGLERS_S = 1.0, 0.5
+LOCKSTEP_WARM_UP = 20
+"""Ticks that do not count."""
 
 
 class WaitSet:
@@ -235,6 +240,29 @@ def pipeline_sink(topics: list[str], seconds: float) -> dict[str, Any]:
     return {"seconds": passed, "states": [s for s in states if s[0] <= last], "images": images}
 
 
+def controller(topics: list[str], ticks: int) -> dict[str, Any]:
+    """Takes part in lockstep: answers every odometry with a command, and listens to images. Returns ``tick_ns``: when each tick came."""
+    node = Node("bench_controller")
+    found: list[int] = []
+    publisher = node.create_publisher(Twist, names.CMD_VEL, qos.COMMAND)
+    command = Twist()
+    command.linear.x, command.angular.z = 0.3, 0.5
+
+    def on_odometry(msg: Odometry) -> None:
+        found.append(time.monotonic_ns())
+        publisher.publish(command)
+        participant.done(msg.header.stamp, (publisher.topic_name,))
+
+    for topic in topics:
+        node.create_subscription(Image, topic, lambda msg: None, qos.SENSOR)
+    node.create_subscription(Odometry, names.ODOM, on_odometry, qos.STATE)
+    participant = LockstepParticipant(node, after=names.ODOM)
+    waiter = make_executor()
+    waiter.add_node(node)
+    _wait(lambda: len(found) > LOCKSTEP_WARM_UP + ticks, waiter, progress=lambda: len(found))
+    return {"tick_ns": found[LOCKSTEP_WARM_UP : LOCKSTEP_WARM_UP + ticks + 1]}
+
+
 def _cpu_s() -> float:
     """Returns the processor time of this process with all its threads, seconds: what /proc/self/stat counts, but finer."""
     return time.process_time()
@@ -247,14 +275,16 @@ def _settle(waiter: Executor | WaitSet, seconds: float) -> None:
         waiter.spin_once(timeout_sec=left)
 
 
-def _wait(condition: Callable[[], bool], waiter: Executor | WaitSet | None) -> None:
+def _wait(condition: Callable[[], bool], waiter: Executor | WaitSet | None, progress: Callable[[], int] = lambda: 0) -> None:
     """Works until ``condition`` holds.
 
     Raises:
-        TimeoutError: it never did.
+        TimeoutError: it never did, and what ``progress`` counts did not grow any more.
     """
-    deadline = time.monotonic() + PATIENCE_S
+    deadline, before = time.monotonic() + PATIENCE_S, 0
     while not condition():
+        if progress() > before:
+            deadline, before = time.monotonic() + PATIENCE_S, progress()
         if time.monotonic() > deadline:
             raise TimeoutError(f"nothing came within {PATIENCE_S:.0f} s")
         if waiter is None:
@@ -264,7 +294,7 @@ def _wait(condition: Callable[[], bool], waiter: Executor | WaitSet | None) -> N
 
 
 ROLES: dict[str, Callable[..., dict[str, Any] | None]] = {
-    role.__name__: role for role in (ping, pong, image_source, image_sink, clock_source, listener, pipeline_sink)
+    role.__name__: role for role in (ping, pong, image_source, image_sink, clock_source, listener, pipeline_sink, controller)
 }
 
 

@@ -45,7 +45,7 @@ class Journal:
         self._simulator, self._received = simulator, received
         self._publisher = node.create_publisher(Input, names.INPUTS, **qos.overridable(qos.INPUTS))
         self._topic = node.resolve_topic_name(names.INPUTS_AT)
-        node.create_subscription(Input, names.INPUTS_AT, self._on_input, qos.INPUTS)
+        node.create_subscription(Input, names.INPUTS_AT, self._on_input, qos.INPUTS_AT)
         self._planned: list[_Planned] = []
         self._count = 0
         self.late = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,6 +12,18 @@ from gibson_msgs.msg import TickDone
 from gibson_sim.ros import names, qos
 
 
+MATCHING_S = 3.0
+"""Within so long those who are known to listen to a new publisher can hear it."""
+
+
+def wait_for_readers(node: Node) -> None:
+    """Returns once all who listen to a topic of a node can hear it, or after a while: they hear of a new publisher one by one."""
+    deadline = time.monotonic() + MATCHING_S
+    for publisher in node.publishers:
+        while publisher.get_subscription_count() < node.count_subscribers(publisher.topic_name) and time.monotonic() < deadline:
+            time.sleep(0.01)
+
+
 class LockstepParticipant:
     """Tells a simulation in lockstep that a node has done its part of a tick; without lockstep nobody listens, and it costs nothing.
 
@@ -18,17 +31,21 @@ class LockstepParticipant:
         tick_done (gibson_msgs/TickDone).
     """
 
-    def __init__(self, node: Node, after: str = "", name: str = "") -> None:
+    def __init__(self, node: Node, after: str = "") -> None:
         """Takes part from the next tick on.
 
         Args:
             node: who takes part; it must listen to what it waits for by now.
             after: topic whose ticks count; ``cameras`` = ticks at which a camera is due; empty = every tick.
-            name: unique among the participants; empty = the name of the node.
         """
-        self.name = name or node.get_name()
+        self.name = node.get_fully_qualified_name().lstrip("/")
         self._publisher = node.create_publisher(TickDone, names.TICK_DONE, qos.TICK_DONE)
         self._publisher.publish(TickDone(event=TickDone.JOIN, participant=self.name, after=after))
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether a simulation in lockstep listens."""
+        return bool(self._publisher.get_subscription_count())
 
     def done(self, stamp: Any, sent: Sequence[str] = ()) -> None:
         """Says that a tick is done.
@@ -37,7 +54,7 @@ class LockstepParticipant:
             stamp: builtin_interfaces/Time, that of what the tick was known by.
             sent: topics on which commands were sent in this tick, once for each command: they count before time goes on.
         """
-        if self._publisher.get_subscription_count():
+        if self.is_heard:
             message = TickDone(event=TickDone.DONE, participant=self.name, stamp=stamp)
             message.sent = list(sent)
             self._publisher.publish(message)

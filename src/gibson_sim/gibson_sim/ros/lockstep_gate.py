@@ -19,6 +19,8 @@ LATE_NS = 2 * NS_PER_S
 """A tick that waits for so long is worth a warning."""
 JOIN_LIMIT_S = 120.0
 """So long time waits for participants that were announced."""
+_MATCHING_NS = 3 * NS_PER_S
+"""After so long a new participant is believed to hear us."""
 _AGAIN_NS = NS_PER_S // 2
 """How often a participant that came back is given the present tick, until it has done it."""
 
@@ -47,7 +49,10 @@ class LockstepGate:
         self._started_ns = time.monotonic_ns()
         self._reported_ns = self._again_ns = 0
         self._came_back: set[str] = set()
+        self._new: dict[str, int] = {}
         self.timeouts = 0
+        self.failure: LockstepError | None = None
+        """Why the run has to end."""
         node.create_subscription(TickDone, names.TICK_DONE, self._on_done, qos.TICK_DONE)
 
     def publish_tick(self, stamp_ns: int, topics: Callable[[], Collection[str]]) -> None:
@@ -71,6 +76,7 @@ class LockstepGate:
         name = msg.participant
         if msg.event == TickDone.JOIN:
             self._node.get_logger().info(f"lockstep: {name!r} takes part{f', after {msg.after}' if msg.after else ''}")
+            self._new[name] = now_ns
             if core.join(name, msg.after.lstrip("/")):
                 self._came_back.add(name)
         elif msg.event == TickDone.LEAVE:
@@ -89,15 +95,11 @@ class LockstepGate:
             self._go_on()
 
     def may_go(self) -> bool:
-        """Returns whether the next tick may begin; says who is late.
-
-        Raises:
-            LockstepError: somebody is so late that the run has to end.
-        """
-        core = self.core
+        """Returns whether the next tick may begin; says who is late, and sets ``failure`` where somebody is too late."""
+        core, now_ns = self.core, time.monotonic_ns()
         if core.is_open:
-            return True
-        now_ns = time.monotonic_ns()
+            self._new = {n: since for n, since in self._new.items() if now_ns - since < _MATCHING_NS and not self._hears_us(n)}
+            return not self._new
         limit_s = self._config.participant_timeout
         if core.absent:
             waited_ns, limit_s = now_ns - self._started_ns, max(JOIN_LIMIT_S, limit_s)
@@ -120,10 +122,11 @@ class LockstepGate:
     def _give_up(self, what: str, now_ns: int) -> bool:
         late = self._late()
         if self.core.absent or self._config.on_timeout == "stop":
-            raise LockstepError(
+            self.failure = LockstepError(
                 f"lockstep: {late} {what}: the run ends. Mend it, raise 'participant_timeout', or set 'on_timeout' to go_on "
                 "to do without its answer"
             )
+            return False
         self.core.give_up(now_ns)
         self.timeouts += 1
         self._node.get_logger().warning(
@@ -131,9 +134,19 @@ class LockstepGate:
         )
         return True
 
+    def _hears_us(self, name: str) -> bool:
+        """Returns whether all that a participant listens to reaches it: its messages may be here before its subscriptions are."""
+        node = self._node
+        found = next((p for p in node.get_publishers_info_by_topic(names.TICK_DONE) if _full_name(p) == name), None)
+        if found is None:
+            return False
+        topics = {topic for topic, _ in node.get_subscriber_names_and_types_by_node(found.node_name, found.node_namespace)}
+        ours = [publisher for publisher in node.publishers if publisher.topic_name in topics]
+        return all(publisher.get_subscription_count() >= node.count_subscribers(publisher.topic_name) for publisher in ours)
+
     def _late(self) -> str:
         """Returns the names of those who are waited for, and what is known of them."""
-        publishers = {p.node_name for p in self._node.get_publishers_info_by_topic(names.TICK_DONE)}
+        there = {_full_name(p) for p in self._node.get_publishers_info_by_topic(names.TICK_DONE)}
         rules = {p.name: p.answer for p in self.core.participants}
         parts = []
         for name in self.core.waits_for:
@@ -141,7 +154,7 @@ class LockstepGate:
                 gone = not self._node.count_publishers(rules[name])
                 parts.append(f"{name!r} ({'nobody publishes' if gone else 'no message on'} {rules[name]})")
             else:
-                parts.append(f"{name!r} ({'it hangs or is slow' if name.lstrip('/') in publishers else 'its process is gone'})")
+                parts.append(f"{name!r} ({'it hangs or is slow' if name in there else 'there is no such node'})")
         return ", ".join(parts)
 
     def summary(self) -> dict[str, Any]:
@@ -158,3 +171,8 @@ class LockstepGate:
                 for p in self.core.participants
             },
         }
+
+
+def _full_name(info: Any) -> str:
+    """Returns the name under which the node of an endpoint takes part."""
+    return f"{info.node_namespace.strip('/')}/{info.node_name}".lstrip("/")

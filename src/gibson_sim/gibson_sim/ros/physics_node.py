@@ -219,6 +219,8 @@ class PhysicsNode(Node):
         self._last_report = (time.monotonic_ns(), self._stamp_ns)
         while goes_on() and not self._done:
             executor.spin_once(timeout_sec=0.5)
+            if self._gate is not None and self._gate.failure is not None:
+                raise self._gate.failure
         self._end_last_tick(executor)
         return 0
 
@@ -226,6 +228,8 @@ class PhysicsNode(Node):
         """Waits until everybody has done the tick at which ``duration`` ended."""
         gate = self._gate
         while gate is not None and gate.core.stamp_ns is not None and not gate.may_go():
+            if gate.failure is not None:
+                raise gate.failure
             if self.simulator.quitting or not goes_on():
                 return
             executor.spin_once(timeout_sec=0.1)
@@ -245,21 +249,23 @@ class PhysicsNode(Node):
         if self._done:
             return
         simulator, now_ns, gate = self.simulator, time.monotonic_ns(), self._gate
-        self._take_planned()
         self._follow_changes()
         if gate is not None:
             assert self._stamped is not None
             for topic in self._stamped.arrived():
                 gate.core.receive(topic.lstrip("/"), now_ns)
-        left = simulator.steps_due(self._pacer.due(now_ns)) if gate is None or gate.may_go() else 0
+        left = 0
+        if gate is None or gate.may_go():
+            self._take_planned()
+            left = simulator.steps_due(self._pacer.due(now_ns))
         while left and not self._done:
             self._step(now_ns)
             left -= 1
-            self._take_planned()
             if gate is not None and not gate.core.is_open:
                 if simulator.state is SimulationState.PLAYING:
                     self._pacer.give_back(left)
                 break
+            self._take_planned()
         self._done = self._done or (self._standard is not None and self._standard.quit_is_answered)
 
     def _on_tick_done(self) -> None:
@@ -273,7 +279,7 @@ class PhysicsNode(Node):
             self._gate.receive(topic)
 
     def _take_planned(self) -> None:
-        """Obeys what was planned for the next step."""
+        """Obeys what was planned for the next step. In lockstep only once a tick is done: until then, not all of it may be there."""
         while planned := self._journal.due():
             for name, message in planned:
                 robot = next((robot for robot in self._robots.values() if name in robot.command_topics), None)

@@ -37,8 +37,10 @@ CLOCK = _profile(10)
 COMMAND = _profile(1)
 TICK_DONE = _profile(100, latched=True)
 """Latched: a participant may be there before the simulation is."""
-INPUTS = _profile(100)
-"""Inputs and digests of a run: none may be missing."""
+INPUTS = _profile(100, latched=True)
+"""Inputs and digests of a run: none may be missing, the first ones least of all."""
+INPUTS_AT = _profile(1000)
+"""Inputs that are to be obeyed at their steps: many may come at once."""
 RUN_INFO = _profile(16, latched=True)
 """One message of each node."""
 LATCHED = _profile(1, latched=True)

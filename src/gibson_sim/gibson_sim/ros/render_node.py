@@ -22,7 +22,7 @@ from gibson_sim.render.renderer import Renderer
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.camera_publisher import REGISTERED, CameraPublisher
 from gibson_sim.ros.digest_publisher import DigestPublisher
-from gibson_sim.ros.lockstep_client import LockstepParticipant
+from gibson_sim.ros.lockstep_client import LockstepParticipant, wait_for_readers
 from gibson_sim.ros.node_main import run_node, spin_while, write_summary
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.ros.render_stats import RenderStats
@@ -85,7 +85,7 @@ class RenderNode(Node):
         self._previous: dict[str, State] = {}
         self._stats = RenderStats()
         self._lockstep: LockstepParticipant | None = None
-        self._last_done = (-1, -1)
+        self._last_done: tuple[int, int] | None = None
         self._digests = DigestPublisher(self) if self._config.digests else None
         self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
         self._diagnostics_pub = qos.make_publisher(self, DiagnosticArray, names.DIAGNOSTICS, qos.STATE)
@@ -176,6 +176,10 @@ class RenderNode(Node):
 
     def _take(self, states: Sequence[SceneState]) -> None:
         assert self._scene is not None
+        if self._last_done is None:
+            self._last_done = (0, -1)
+            if self._lockstep is not None and self._lockstep.is_heard:
+                wait_for_readers(self)
         ours = [state for state in states if state.revision == self._scene.revision]
         self._note_foreign(states, bool(ours))
         due = {i for state in ours for i in state.due_cameras if i in self._cameras}

@@ -1,0 +1,105 @@
+"""What measurements that take several processes share: roles played by ``ros.bench_nodes``, and robots to play with."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from gibson_sim.bench.ros import Size
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.resources import find_robot
+
+PATIENCE_S = 120.0
+"""How much longer than it should a process may take before it is given up."""
+ROBOT, CAMERA = "gibson_bot", "camera"
+
+
+class BenchError(GibsonSimError):
+    """A scenario came to nothing."""
+
+
+def write_robot(folder: Path, size: Size) -> Path:
+    """Writes our robot with images of another size into a folder; returns its file."""
+    original = find_robot(ROBOT)
+    settings = yaml.safe_load((original / "robot.yaml" if original.is_dir() else original).read_text(encoding="utf-8"))
+    home = original if original.is_dir() else original.parent
+    settings["urdf"] = str((home / settings["urdf"]).resolve())
+    settings["cameras"] = [{**settings["cameras"][0], "width": size.width, "height": size.height}]
+    path = folder / "robot.yaml"
+    path.write_text(yaml.safe_dump(settings), encoding="utf-8")
+    return path
+
+
+def _command(role: str, options: Mapping[str, Any]) -> list[str]:
+    return [sys.executable, "-m", "gibson_sim.ros.bench_nodes", role, json.dumps(options)]
+
+
+@contextmanager
+def role(environment: Mapping[str, str], role: str, **options: Any) -> Iterator[None]:
+    """Plays a role in a process of its own while the block lasts."""
+    with process(_command(role, options), environment):
+        yield
+
+
+@contextmanager
+def process(command: list[str], environment: Mapping[str, str]) -> Iterator[None]:
+    """Runs a process while the block lasts; what it says matters only where the block fails."""
+    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as output:
+        running = subprocess.Popen(command, env=dict(environment), stdin=subprocess.DEVNULL, stdout=output, stderr=output)
+        try:
+            yield
+        except BenchError as error:
+            code = running.poll()
+            output.seek(0)
+            how = "runs" if code is None else f"ended with code {code}"
+            raise BenchError(f"{error}; the other process {how}: {_last_line(output.read())}") from error
+        finally:
+            _end(running)
+
+
+def _end(process: subprocess.Popen[Any]) -> None:
+    for number, seconds in ((signal.SIGINT, 20.0), (signal.SIGKILL, 10.0)):
+        if process.poll() is None:
+            process.send_signal(number)
+        try:
+            process.wait(seconds)
+            return
+        except subprocess.TimeoutExpired:
+            continue
+
+
+def answer(environment: Mapping[str, str], role: str, expected_s: float, **options: Any) -> dict[str, Any]:
+    """Returns what a role found.
+
+    Raises:
+        BenchError: nothing, or it took far too long.
+    """
+    try:
+        done = subprocess.run(
+            _command(role, options),
+            env=dict(environment),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=expected_s + PATIENCE_S,
+        )
+    except subprocess.TimeoutExpired:
+        raise BenchError(f"the {role} process was still at it after {expected_s + PATIENCE_S:.0f} s") from None
+    lines = done.stdout.splitlines()
+    if done.returncode or not lines:
+        raise BenchError(f"the {role} process ended with code {done.returncode}: {_last_line(done.stderr)}")
+    found: dict[str, Any] = json.loads(lines[-1])
+    return found
+
+
+def _last_line(text: str) -> str:
+    return next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "it said nothing")

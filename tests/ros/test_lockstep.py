@@ -1,0 +1,177 @@
+"""Lockstep as its participants see it: who dies, hangs or is slow is named, and nothing is lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from support.scenes import write_room
+from support.simulation import Launched, Listener, require
+
+require("rclpy", "gibson_msgs", "simulation_interfaces")
+
+from geometry_msgs.msg import Twist  # noqa: E402
+from nav_msgs.msg import Odometry  # noqa: E402
+from rosbags.highlevel import AnyReader  # noqa: E402
+
+from gibson_msgs.msg import TickDone  # noqa: E402
+from gibson_sim.ros import qos  # noqa: E402
+from support.clients import DEEP, step_of, steps_of  # noqa: E402
+from support.lockstep import NAME, Controller  # noqa: E402
+from support.robots import write_gibson_bot  # noqa: E402
+
+pytestmark = pytest.mark.ros
+STEPS_A_TICK = 4
+IMAGE = "camera/image_raw"
+IMAGE_STEPS = 24
+"""Steps between two images at 10 Hz."""
+
+
+@pytest.fixture
+def start(ros_domain: int, tmp_path: Path) -> Iterator[Callable[..., Launched]]:
+    """Starts a lockstep run as fast as possible in a room of four walls; ends it, and shows what it said."""
+    robot = write_gibson_bot(tmp_path / "robot", camera={"width": 80, "height": 60, "rate_hz": 10.0})
+    runs: list[Launched] = []
+
+    def begin(*options: str) -> Launched:
+        room = str(write_room(tmp_path / "room"))
+        runs.append(Launched("run", "--scene", room, "--robot", str(robot), "--lockstep", "--rate", "max", *options))
+        return runs[-1]
+
+    yield begin
+    for run in runs:
+        run.stop()
+        print("\n".join(run.lines))
+
+
+def _error(launched: Launched) -> str:
+    return next(line for line in launched.lines if line.startswith("error: "))
+
+
+def _steps_in_bag(bag: Path, topic: str) -> list[int]:
+    with AnyReader([bag]) as reader:
+        found = [c for c in reader.connections if c.topic == topic]
+        messages = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(found)]
+    return [step_of(m.header.stamp.sec * 10**9 + m.header.stamp.nanosec) for m in messages]
+
+
+def test_time_waits_for_those_who_were_announced(start: Callable[..., Launched], listener: Listener, tmp_path: Path) -> None:
+    summary = tmp_path / "summary.json"
+    launched = start("--no-render", "--participants", NAME, "--duration", "2", "--summary", str(summary))
+    odometry = listener.collect(Odometry, "odom", DEEP)
+    launched.wait_for_line(f"'{NAME}' (there is no such node) has not joined")
+    assert not odometry
+    controller = Controller(listener)
+    assert _ended(launched, listener) == 0
+    assert steps_of(odometry) == list(range(STEPS_A_TICK, 480 + 1, STEPS_A_TICK)), "every tick, once"
+    found = json.loads(summary.read_text())["physics"]
+    assert found["lockstep"]["participants"][NAME]["ticks"] == controller.ticks == 120
+    assert found["commands"] == 119, "one a tick; that of the last has no step to obey it"
+
+
+def _ended(launched: Launched, listener: Listener) -> int | None:
+    """Works as the controller until the run has ended; returns its exit code."""
+    listener.spin_until(lambda: launched.process.poll() is not None, "the end of the run")
+    return launched.wait()
+
+
+def test_a_node_that_knows_nothing_of_lockstep_takes_part_by_its_commands(
+    start: Callable[..., Launched], listener: Listener, tmp_path: Path
+) -> None:
+    summary = tmp_path / "summary.json"
+    rules = ("--participants", "follow=cmd_vel after odom", "--participant-timeout", "60")
+    publisher = listener.node.create_publisher(Twist, "cmd_vel", 1)
+    listener.node.create_subscription(Odometry, "odom", lambda msg: publisher.publish(Twist()), 10)
+    launched = start("--no-render", *rules, "--duration", "1", "--summary", str(summary))
+    assert _ended(launched, listener) == 0
+    found = json.loads(summary.read_text())["physics"]
+    assert found["lockstep"]["participants"]["follow"] | {"mean_ms": 0, "longest_ms": 0} == {
+        "ticks": 60, "mean_ms": 0, "longest_ms": 0, "missed": 0,
+    }  # fmt: skip
+    assert found["commands"] == 59
+
+
+def test_a_controller_that_hangs_is_named_and_the_bag_is_whole(
+    start: Callable[..., Launched], listener: Listener, tmp_path: Path
+) -> None:
+    bag = tmp_path / "bag"
+    launched = start("--no-render", "--participants", NAME, "--participant-timeout", "1", "--record", str(bag))
+    Controller(listener).hangs_after = 30
+    assert _ended(launched, listener) == 1
+    assert f"'{NAME}' (it hangs or is slow) has not done the tick at 0.517 s" in _error(launched)
+    assert _steps_in_bag(bag, "/odom") == list(range(STEPS_A_TICK, 31 * STEPS_A_TICK + 1, STEPS_A_TICK)), "nothing else is lost"
+
+
+def test_a_run_may_go_on_without_the_answer_of_one_who_hangs(
+    start: Callable[..., Launched], listener: Listener, tmp_path: Path
+) -> None:
+    summary = tmp_path / "summary.json"
+    options = ("--participant-timeout", "0.05", "--on-timeout", "go_on", "--duration", "1", "--summary", str(summary))
+    launched = start("--no-render", "--participants", NAME, *options)
+    Controller(listener).hangs_after = 50
+    assert _ended(launched, listener) == 0
+    found = json.loads(summary.read_text())["physics"]["lockstep"]
+    assert found["participants"][NAME]["missed"] == found["timeouts"] >= 10
+    assert any("this tick goes on without it; the run cannot be repeated" in line for line in launched.lines)
+
+
+def test_a_renderer_that_is_killed_comes_back_and_draws_the_tick_that_waits(
+    start: Callable[..., Launched], listener: Listener
+) -> None:
+    launched = start("--participants", NAME, "--participant-timeout", "100")
+    launched.wait_for_line("triangles")
+    controller = Controller(listener, images=(IMAGE,))
+    images = controller.images[IMAGE]
+    listener.spin_until(lambda: len(images) > 3, "images")
+    os.kill(launched.node_pid("render"), signal.SIGKILL)
+    before = len(images)
+    listener.spin_until(lambda: len(images) > before + 5, "images after the restart")
+    steps = [step_of(stamp) for stamp in images]
+    assert sorted(set(steps)) == list(range(steps[0], steps[-1] + 1, IMAGE_STEPS)), "not one is missing"
+
+
+def test_a_renderer_that_stands_still_is_named_and_nothing_is_lost(start: Callable[..., Launched], listener: Listener) -> None:
+    launched = start("--participants", NAME, "--participant-timeout", "100")
+    launched.wait_for_line("triangles")
+    controller = Controller(listener, images=(IMAGE,))
+    images = controller.images[IMAGE]
+    listener.spin_until(lambda: len(images) > 3, "images")
+    pid = launched.node_pid("render")
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        listener.spin_until(lambda: bool(_said(launched, "'render' (it hangs or is slow) has not done")), "a word")
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    before = len(images)
+    listener.spin_until(lambda: len(images) > before + 5, "images afterwards")
+    steps = [step_of(stamp) for stamp in images]
+    assert steps == list(range(steps[0], steps[-1] + 1, IMAGE_STEPS)), "each once"
+
+
+def _said(launched: Launched, text: str) -> list[str]:
+    return [line for line in launched.lines if text in line]
+
+
+def test_who_says_done_without_having_joined_is_told_so(start: Callable[..., Launched], listener: Listener) -> None:
+    launched = start("--no-render", "--participants", NAME)
+    controller = Controller(listener)
+    listener.spin_until(lambda: controller.ticks > 5, "ticks")
+    publisher: Any = listener.node.create_publisher(TickDone, "tick_done", qos.TICK_DONE)
+    publisher.publish(TickDone(event=TickDone.DONE, participant="stranger"))
+    listener.spin_until(lambda: bool(_said(launched, "'stranger' has done a tick, but has not joined")), "a word")
+    publisher.publish(TickDone(event=TickDone.LEAVE, participant=NAME))
+    listener.spin_until(lambda: bool(_said(launched, f"'{NAME}' leaves")), "a word")
+    ticks = controller.ticks
+    listener.spin_until(lambda: controller.ticks > ticks + 100, "time that goes on without it")
+
+
+def test_participants_that_are_no_rule_are_refused_before_anything_starts() -> None:
+    launched = Launched("run", "--lockstep", "--participants", "follow=cmd_vel because odom")
+    assert launched.wait() == 1
+    assert "must be `render`, `follow=cmd_vel after odom`" in "\n".join(launched.lines)
