@@ -39,12 +39,21 @@ setup(
         "PyYAML",
         "pybullet",
         "rosbags",
+        "ruamel-yaml",
         "mcap",
+        "lz4",
         "meshoptimizer",
         "zstandard",
         "av",
+        "rich",
     ],
-    extras_require={"test": ["pytest", "hypothesis"], "cuda": ["cuda-bindings>=12.6"], "torch": ["torch>=2.3"]},
+    extras_require={
+        "test": ["pytest", "pytest-xdist", "hypothesis"],
+        "cuda": ["cuda-bindings>=12.6"],
+        "torch": ["torch>=2.3"],
+        "lerobot": ["pyarrow>=15"],
+        "analysis": ["matplotlib>=3.8"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
         ("share/" + NAME, ["package.xml"]),
@@ -61,6 +70,7 @@ setup(
             "drive_node = gibson_sim.ros.drive_node:main",
             "record_node = gibson_sim.ros.record_node:main",
             "snapshot_node = gibson_sim.ros.snapshot_node:main",
+            "replay_node = gibson_sim.ros.replay_node:main",
         ]
     },
 )

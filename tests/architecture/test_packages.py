@@ -15,7 +15,7 @@ import pytest
 from support.simulation import require
 
 PACKAGE_XML = ("src/gibson_sim/package.xml", "src/gibson_msgs/package.xml")
-PACKAGE_OF = {"cuda": "cuda-bindings", "cv2": "opencv-python-headless", "yaml": "PyYAML"}
+PACKAGE_OF = {"cuda": "cuda-bindings", "cv2": "opencv-python-headless", "ruamel": "ruamel-yaml", "yaml": "PyYAML"}
 ROS_MODULES = {"rclpy", "ament_index_python", "launch", "launch_ros", "rpyutils"}
 EXACT = re.compile(r"[a-z0-9-]+==[0-9][0-9.]*(a[0-9]+)?( ; python_version (<|>=) \"3\.\d+\")?")
 
@@ -50,6 +50,7 @@ def test_colcon_sees_each_package_as_what_it_is(root: Path, tmp_path: Path) -> N
         "gibson_examples\tsrc/gibson_examples\t(ros.ament_python)",
         "gibson_msgs\tsrc/gibson_msgs\t(ros.ament_cmake)",
         "gibson_sim\tsrc/gibson_sim\t(ros.ament_python)",
+        "rosbag2_interfaces\tsrc/compat/rosbag2_interfaces\t(ros.ament_cmake)",
         "simulation_interfaces\tsrc/compat/simulation_interfaces\t(ros.ament_cmake)",
         "tf2_msgs\tsrc/compat/tf2_msgs\t(ros.ament_cmake)",
     ]

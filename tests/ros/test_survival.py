@@ -150,14 +150,16 @@ def test_bag_is_whole_when_physics_is_killed(start: Callable[..., Launched], lis
         recorded = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(connections)]
     steps = [step_of(m.header.stamp.sec * 10**9 + m.header.stamp.nanosec) for m in recorded]
     assert steps == list(range(4, steps[-1] + 1, 4)), "from the first tick on, not one is missing"
-    assert steps[-1] >= last, "up to the end"
+    # A publisher hands each reader its own copy, one after the other: SIGKILL may come between the listener's and the recorder's.
+    assert steps[-1] >= last - 4, (
+        "up to the end: what was sent to one reader need not have been sent to the next, but only the very last tick may be missing"
+    )
 
 
 def test_run_goes_on_when_the_recorder_is_killed_and_its_bag_can_be_mended(
     start: Callable[..., Launched], listener: Listener, tmp_path: Path
 ) -> None:
     bag = tmp_path / "bag"
-    # Images fill a chunk of the bag in a second; what waits for its chunk to be full is lost with the process.
     launched = start("--record", str(bag))
     odometry = listener.collect(Odometry, "odom", DEEP)
     listener.spin_until(lambda: bool(odometry) and step_of(stamp_ns(odometry[-1])) > 720, "three seconds")
@@ -169,4 +171,6 @@ def test_run_goes_on_when_the_recorder_is_killed_and_its_bag_can_be_mended(
     mended = Launched("bag", "repair", str(bag))
     assert mended.wait() == 0, "\n".join(mended.lines)
     with AnyReader([bag]) as reader:
-        assert sum(1 for c, _, _ in reader.messages() if c.topic == "/odom") > 10
+        written = sum(1 for c, _, _ in reader.messages() if c.topic == "/odom")
+    # Three seconds of 60 messages were heard; what came since the last flush, a second before, is lost with the process.
+    assert written > 10

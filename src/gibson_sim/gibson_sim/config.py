@@ -152,7 +152,7 @@ class PhysicsConfig:
     )
     digests: bool = setting(False, "Publish a number of all that each tick holds, on `tick_digest`, to compare runs by")
     wait_for: str = setting(
-        "", "Hold the first tick until topics have so many subscribers, e.g. `scene_state:1,cameras:1` (120 s at most)"
+        "", "Hold the first tick until topics have so many subscribers, e.g. `scene_state:1,cameras:1,robots:1` (120 s at most)"
     )
     summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
 
@@ -173,11 +173,7 @@ class PhysicsConfig:
 
     def wanted_outputs(self) -> tuple[Output, ...]:
         """Returns the outputs in ``camera_outputs``."""
-        names = [part.strip() for part in self.camera_outputs.split(",") if part.strip()]
-        unknown = [name for name in names if name not in OUTPUTS]
-        if unknown:
-            raise ConfigError(f"setting 'camera_outputs' has {', '.join(unknown)}; must be of {', '.join(OUTPUTS)}")
-        return tuple(output for output in OUTPUTS if output in names)
+        return _outputs("camera_outputs", self.camera_outputs)
 
     def wanted_subscribers(self) -> dict[str, int]:
         """Returns how many subscribers each topic of ``wait_for`` must have."""
@@ -188,6 +184,15 @@ class PhysicsConfig:
                 raise ConfigError(f"setting 'wait_for' has {part!r}, must be topic:count, e.g. scene_state:1")
             wanted[topic] = int(count)
         return wanted
+
+
+def _outputs(name: str, text: str) -> tuple[Output, ...]:
+    """Returns the outputs that a setting names, in the usual order."""
+    names = [part.strip() for part in text.split(",") if part.strip()]
+    unknown = [part for part in names if part not in OUTPUTS]
+    if unknown:
+        raise ConfigError(f"setting {name!r} has {', '.join(unknown)}; must be of {', '.join(OUTPUTS)}")
+    return tuple(output for output in OUTPUTS if output in names)
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,13 +294,38 @@ class RecordConfig:
 
     output: str = setting("", "Folder of the bag; it must not exist, or be empty")
     topics: str = setting("", "Topics to record, separated by commas; empty = all")
-    compression: str = setting("none", "Compression of the bag's chunks", choices=("none", "zstd", "lz4"))
+    storage: str = setting("mcap", "Kind of the bag's files", choices=("mcap", "sqlite3"))
+    compression: str = setting("none", "Compression of the bag's chunks; sqlite3 has none", choices=("none", "zstd", "lz4"))
+    max_bag_size: int = setting(0, "Begin another file of the bag at this size; 0 = never", unit="bytes", minimum=0)
+    max_bag_duration: float = setting(
+        0.0, "Begin another file of the bag after so much simulation time; 0 = never", unit="s", minimum=0.0
+    )
+    flush_period: float = setting(
+        1.0,
+        "Hand what was recorded to the system so often (wall time): a recorder that is killed loses no more than this",
+        unit="s",
+        minimum=0.05,
+        maximum=60.0,
+    )
+    snapshot_seconds: float = setting(
+        0.0,
+        "Write nothing but keep the last seconds (simulation time) in memory, for ~/snapshot to write; 0 = write everything",
+        unit="s",
+        minimum=0.0,
+    )
+    snapshot_mb: int = setting(1000, "Memory for `snapshot_seconds`: the oldest messages go when it is full", unit="MB", minimum=1)
     reserve_mb: int = setting(256, "Stop recording, bag intact, when the disk has less than this left", unit="MB", minimum=1)
     duration: float = setting(0.0, "End after so much simulation time; 0 = never", unit="s", minimum=0.0)
     summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
 
     def __post_init__(self) -> None:
         check_settings(self)
+        if self.storage == "sqlite3" and self.compression != "none":
+            raise ConfigError(f"setting 'compression' is {self.compression!r}, must be 'none' where 'storage' is 'sqlite3'")
+
+    def wanted_topics(self) -> tuple[str, ...]:
+        """Returns the names in ``topics``, without leading slashes; none = all."""
+        return tuple(part.strip().lstrip("/") for part in self.topics.split(",") if part.strip())
 
 
 @dataclass(frozen=True, slots=True)
@@ -309,11 +339,73 @@ class SnapshotConfig:
         check_settings(self)
 
 
+@dataclass(frozen=True, slots=True)
+class RenderBagConfig:
+    """Settings of ``gibson-sim render``, which draws a recorded run again."""
+
+    bag: str = setting("", "Folder of the recorded bag")
+    output: str = setting("", "Folder of the new bag; it must not exist, or be empty")
+    cameras: str = setting(
+        "", "Cameras to draw: a YAML file with a section `cameras` as in robot.yaml, their links `<body>/<link>`; empty = the bag's own"
+    )
+    outputs: str = setting(
+        "", f"What every camera draws, separated by commas: {', '.join(OUTPUTS)}; empty = as the cameras have it"
+    )
+    rate: float = setting(
+        0.0,
+        "Images a second for every camera; 0 = as the cameras have it. Never more than the bag has states, unless `interpolate`",
+        unit="Hz",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    interpolate: bool = setting(False, "Draw at exactly the times that the rates ask for, between recorded states too")
+    lights: str = setting("", "Other lights: a YAML file with a section `light` as in scene.yaml; empty = the bag's")
+    randomise: str = setting(
+        "",
+        "Rules that change lights, colours, textures and materials: a file, or a name under config/randomisation; empty = none",
+    )
+    randomise_seed: int = setting(0, "Seed of the rules: same seed, same pixels", minimum=0)
+    begin: float = setting(0.0, "Begin so long after the begin of the bag", unit="s", minimum=0.0)
+    end: float = setting(0.0, "End so long after the begin of the bag; 0 = at its end", unit="s", minimum=0.0)
+    copy: str = setting(
+        "auto", "Topics to take over from the bag, separated by commas; auto = all but images and what is made of them, none = none"
+    )
+    compression: str = setting("none", "Compression of the bag's chunks", choices=("none", "zstd", "lz4"))
+    reserve_mb: int = setting(256, "Stop, bag intact, when the disk has less than this left", unit="MB", minimum=1)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        self.wanted_outputs()
+        if self.end and self.end <= self.begin:
+            raise ConfigError(f"setting 'end' is {self.end:g} s, must be after 'begin', {self.begin:g} s, or 0")
+
+    def wanted_outputs(self) -> tuple[Output, ...]:
+        """Returns the outputs in ``outputs``."""
+        return _outputs("outputs", self.outputs)
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayConfig:
+    """Settings of the replay node: it gives a simulation the inputs of a recorded run again."""
+
+    bag: str = setting("", "Folder of the recorded bag")
+    lockstep: bool = setting(False, "Give every input before its step: the simulation must be in lockstep")
+    verify: bool = setting(False, "Compare the digests of every tick with those of the bag")
+    images: bool = setting(True, "Listen to the images that the bag has digests of, so that they are drawn; only for verify")
+    step_hz: int = setting(240, "Physics steps a second, as the simulation has them", unit="Hz", minimum=60, maximum=10_000)
+    publish_hz: int = setting(60, "Ticks a second, as the simulation has them", unit="Hz", minimum=1, maximum=1000)
+    summary_path: str = setting("", "File that gets a JSON summary of the replay at its end; empty = none")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
 NODE_CONFIGS: dict[str, type[Any]] = {
     "physics": PhysicsConfig,
     "render": RenderConfig,
     "drive": DriveConfig,
     "record": RecordConfig,
     "snapshot": SnapshotConfig,
+    "replay": ReplayConfig,
 }
 """Node name -> its settings."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import subprocess
+import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -100,7 +103,7 @@ class Messages:
     def scene_state(self, ns: int, step: int) -> bytes:
         return self.cdr(
             self.types["gibson_msgs/msg/SceneState"](
-                header=self.header(ns, "map"), revision=1, step=step, poses=np.arange(7.0), twists=np.zeros(6),
+                header=self.header(ns, "map"), revision=1, step=step, epoch_step=step, epoch=0, poses=np.arange(7.0), twists=np.zeros(6),
                 due_cameras=np.array([0], dtype=np.uint32),
             )
         )  # fmt: skip
@@ -150,3 +153,17 @@ def write_drive(messages: Messages, tmp_path: Path) -> Callable[..., Path]:
         return path
 
     return write
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 24 MiB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    command = ["mount", "-t", "tmpfs", "-o", "size=24m", "tmpfs", str(folder)]
+    if os.geteuid() != 0 or subprocess.run(command, capture_output=True, check=False).returncode:
+        message = "SKIPPED: a small disk cannot be mounted here (needs root); the file size limit is tested instead"
+        warnings.warn(message, stacklevel=2)
+        pytest.skip(message)
+    yield folder
+    subprocess.run(["umount", "-l", str(folder)], check=True)

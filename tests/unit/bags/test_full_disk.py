@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import warnings
 from collections import namedtuple
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,20 +30,6 @@ def _count(folder: Path) -> int:
     with file.open("rb") as stream:
         assert sum(1 for _ in make_reader(stream, validate_crcs=True).iter_messages()) == count
     return count
-
-
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 24 MiB."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    command = ["mount", "-t", "tmpfs", "-o", "size=24m", "tmpfs", str(folder)]
-    if os.geteuid() != 0 or subprocess.run(command, capture_output=True, check=False).returncode:
-        message = "SKIPPED: a small disk cannot be mounted here (needs root); the file size limit is tested instead"
-        warnings.warn(message, stacklevel=2)
-        pytest.skip(message)
-    yield folder
-    subprocess.run(["umount", str(folder)], check=True)
 
 
 def _fill(bag: BagWriter, data: bytes) -> int:

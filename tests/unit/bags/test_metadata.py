@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import yaml
 
-from gibson_sim.bags.metadata import TopicQos, TopicRecord, bag_information, dump_qos, write_metadata
+from gibson_sim.bags.metadata import FileRecord, TopicQos, TopicRecord, bag_information, dump_qos, read_metadata, write_metadata
 
 INFINITE = {"sec": 9223372036, "nsec": 854775807}
 
@@ -42,7 +42,7 @@ def test_profile_of_rclpy_is_written_in_the_words_of_rosbag2() -> None:
 
 def test_metadata_file_has_every_field_of_version_9(tmp_path: Path) -> None:
     topic = TopicRecord("/scene", "gibson_msgs/msg/Scene", [TopicQos.latched().as_dict()], "RIHS01_00", 2)
-    write_metadata(tmp_path, bag_information([topic], "run_0.mcap", 5_000, 9_000))
+    write_metadata(tmp_path, bag_information([topic], [FileRecord("run_0.mcap", 5_000, 9_000, 2)]))
     qos = {
         "history": "keep_last", "depth": 1, "reliability": "reliable", "durability": "transient_local", "deadline": INFINITE,
         "lifespan": INFINITE, "liveliness": "automatic", "liveliness_lease_duration": INFINITE,
@@ -86,3 +86,20 @@ def test_metadata_file_has_every_field_of_version_9(tmp_path: Path) -> None:
 
 def test_equal_values_are_written_out_instead_of_referenced() -> None:
     assert "&" not in dump_qos([TopicQos().as_dict()])
+
+
+def test_bag_of_several_files_begins_with_the_first_message_and_ends_with_the_last() -> None:
+    files = [FileRecord("run_0.db3", 5_000, 9_000, 2), FileRecord("run_1.db3"), FileRecord("run_2.db3", 9_500, 12_000, 3)]
+    information = bag_information([TopicRecord("/a", "std_msgs/msg/String", [], "RIHS01_00", 5)], files, "sqlite3")
+    assert information["starting_time"] == {"nanoseconds_since_epoch": 5_000}
+    assert information["duration"] == {"nanoseconds": 7_000}
+    assert information["storage_identifier"] == "sqlite3"
+    assert information["relative_file_paths"] == ["run_0.db3", "run_1.db3", "run_2.db3"]
+    assert [file["message_count"] for file in information["files"]] == [2, 0, 3]
+
+
+def test_metadata_that_is_missing_or_broken_is_read_as_empty(tmp_path: Path) -> None:
+    assert read_metadata(tmp_path) == {}
+    for text in ("[", "just text", "rosbag2_bagfile_information: 3"):
+        (tmp_path / "metadata.yaml").write_text(text)
+        assert read_metadata(tmp_path) == {}

@@ -161,7 +161,7 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_folder_without_a_bag_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(RecordError, match="holds 0 mcap files"):
+    with pytest.raises(RecordError, match="holds no mcap or db3 file"):
         repair(tmp_path)
 
 

@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer as RosbagsWriter
 
-import gibson_sim.bags.writer as writer_module
+import gibson_sim.bags.sink as sink_module
 from gibson_sim.bags.writer import BagWriter, TopicQos
 from gibson_sim.errors import RecordError
 
@@ -191,12 +191,12 @@ def test_memoryview_is_accepted(tmp_path: Path, messages: Any) -> None:
         assert [bytes(raw) for _, _, raw in reader.messages()] == [messages.text("x")]
 
 
-@pytest.mark.parametrize("call", range(2, 16))
+@pytest.mark.parametrize("call", range(2, 14))
 def test_interrupt_in_the_middle_of_a_write_leaves_a_bag_of_whole_chunks(
     tmp_path: Path, messages: Any, monkeypatch: pytest.MonkeyPatch, call: int
 ) -> None:
     """Ctrl-C raises KeyboardInterrupt anywhere: here when half of the bytes have reached the disk."""
-    write, calls = writer_module._Sink.write, iter(range(100))
+    write, calls = sink_module.Sink.write, iter(range(100))
 
     def interrupted(sink: Any, data: bytes) -> int:
         if next(calls) == call:
@@ -204,7 +204,7 @@ def test_interrupt_in_the_middle_of_a_write_leaves_a_bag_of_whole_chunks(
             raise KeyboardInterrupt
         return write(sink, data)
 
-    monkeypatch.setattr(writer_module._Sink, "write", interrupted)
+    monkeypatch.setattr(sink_module.Sink, "write", interrupted)
     bag = BagWriter(tmp_path / "bag", reserve_bytes=0, chunk_bytes=2500)
     bag.add_topic("/a", STRING)
     with pytest.raises(KeyboardInterrupt):

@@ -401,3 +401,10 @@ def test_closed_simulator_can_be_closed_again(make: Make, caplog: pytest.LogCapt
     assert simulator.world is None
     assert not [r for r in caplog.records if r.levelno >= logging.ERROR]
     assert SCENE.revision == 1
+
+
+def test_steps_of_an_epoch_count_on_until_the_next_world(make: Make) -> None:
+    simulator = make()
+    turn(simulator, 7)
+    simulator.unload_world()
+    assert (simulator.epoch, simulator.epoch_step) == (0, 7), "what comes now comes after step 7, as the journal has it"

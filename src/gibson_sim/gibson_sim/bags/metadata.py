@@ -91,23 +91,34 @@ def dump_qos(profiles: Sequence[dict[str, Any]]) -> str:
     return _dump(list(profiles)).rstrip("\n") if profiles else ""
 
 
-def bag_information(topics: Sequence[TopicRecord], file_name: str, start_ns: int, end_ns: int) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True)
+class FileRecord:
+    """One storage file of a bag as the metadata lists it."""
+
+    name: str
+    start_ns: int = 0
+    """Time of the first message; 0 if there is none."""
+    end_ns: int = 0
+    """Time of the last message; 0 if there is none."""
+    count: int = 0
+
+
+def bag_information(topics: Sequence[TopicRecord], files: Sequence[FileRecord], storage: str = "mcap") -> dict[str, Any]:
     """Returns what stands under ``rosbag2_bagfile_information``.
 
     Args:
         topics: all topics, also those without a message.
-        file_name: name of the one storage file in the folder.
-        start_ns: time of the first message; 0 if there is none.
-        end_ns: time of the last message; 0 if there is none.
+        files: the storage files in their order.
+        storage: ``mcap`` or ``sqlite3``.
     """
-    count = sum(topic.count for topic in topics)
-    start, duration = {"nanoseconds_since_epoch": start_ns}, {"nanoseconds": end_ns - start_ns}
+    filled = [file for file in files if file.count]
+    start, end = min((f.start_ns for f in filled), default=0), max((f.end_ns for f in filled), default=0)
     return {
         "version": VERSION,
-        "storage_identifier": "mcap",
-        "duration": dict(duration),
-        "starting_time": dict(start),
-        "message_count": count,
+        "storage_identifier": storage,
+        "duration": {"nanoseconds": end - start},
+        "starting_time": {"nanoseconds_since_epoch": start},
+        "message_count": sum(topic.count for topic in topics),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
@@ -123,16 +134,34 @@ def bag_information(topics: Sequence[TopicRecord], file_name: str, start_ns: int
         ],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [file_name],
-        "files": [{"path": file_name, "starting_time": dict(start), "duration": dict(duration), "message_count": count}],
+        "relative_file_paths": [file.name for file in files],
+        "files": [
+            {
+                "path": file.name,
+                "starting_time": {"nanoseconds_since_epoch": file.start_ns},
+                "duration": {"nanoseconds": file.end_ns - file.start_ns},
+                "message_count": file.count,
+            }
+            for file in files
+        ],
         "custom_data": None,
         "ros_distro": ROS_DISTRO,
     }
 
 
 def dump_information(information: dict[str, Any]) -> str:
-    """Returns the text that the mcap file itself carries, in its metadata record ``rosbag2``."""
+    """Returns the text that a storage file itself carries: mcap in its metadata record ``rosbag2``, sqlite3 in its table."""
     return _dump(information)
+
+
+def read_metadata(folder: Path) -> dict[str, Any]:
+    """Returns what stands under ``rosbag2_bagfile_information``; empty if the file is missing or not understood."""
+    try:
+        content = yaml.safe_load((folder / METADATA_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError):
+        return {}
+    information = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
+    return information if isinstance(information, dict) else {}
 
 
 def write_metadata(folder: Path, information: dict[str, Any]) -> None:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import ReaderError
+from rosbags.typesys import Stores, get_typestore
 
 from gibson_sim.errors import RecordError
 
@@ -26,8 +27,13 @@ DEPTH_ENCODINGS = ("32FC1", "16UC1")
 _ENCODINGS: dict[str, tuple[str, int]] = {
     "rgb8": ("u1", 3),
     "bgr8": ("u1", 3),
+    "rgba8": ("u1", 4),
+    "bgra8": ("u1", 4),
     "mono8": ("u1", 1),
+    "mono16": ("u2", 1),
     "32FC1": ("f4", 1),
+    "32FC2": ("f4", 2),
+    "32FC3": ("f4", 3),
     "16UC1": ("u2", 1),
 }
 """numpy type and channels of the encodings that can be read."""
@@ -62,7 +68,8 @@ class BagReader:
             raise RecordError(f"there is no bag at {self.folder}: give the folder that was recorded")
         self._reader: AnyReader | None = None
         try:
-            reader = AnyReader([self.folder])
+            # The types of Jazzy are for bags without definitions, as sqlite3 ones were before Jazzy.
+            reader = AnyReader([self.folder], default_typestore=get_typestore(Stores.ROS2_JAZZY))
             reader.open()
         except (AnyReaderError, OSError, KeyError, IndexError, TypeError, ValueError, struct.error) as error:
             raise RecordError(
@@ -137,6 +144,17 @@ class BagReader:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
         self.close()
 
+    @property
+    def connections(self) -> list[Connection]:
+        """What `rosbags` knows of each topic: definition of its type, offered quality of service."""
+        return list(self._open().connections)
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Log times of the first and of the last message, nanoseconds; (0, 0) where there is none."""
+        reader = self._open()
+        return (reader.start_time, reader.end_time) if reader.message_count else (0, 0)
+
     def _open(self) -> AnyReader:
         if self._reader is None:
             raise RecordError(f"bag {self.folder} is closed")
@@ -182,10 +200,11 @@ def image_to_array(msg: Any) -> NDArray[Any]:
     """Returns the pixels of a ``sensor_msgs/Image``, row 0 on top, as the message has them.
 
     Args:
-        msg: encoding rgb8, bgr8, mono8 (uint8), 16UC1 (uint16, millimetres) or 32FC1 (float32, metres).
+        msg: encoding rgb8, bgr8, rgba8, bgra8, mono8 (uint8), mono16 (uint16), 16UC1 (uint16, millimetres or numbers), 32FC1 (float32,
+            metres), 32FC2 or 32FC3 (float32).
 
     Returns:
-        (height, width, 3) for rgb8 and bgr8, in that order of colours; (height, width) for the others. A view if possible.
+        (height, width, channels), colours in the order of the encoding; (height, width) where there is one channel. A view if possible.
 
     Raises:
         RecordError: another encoding, or too few bytes.

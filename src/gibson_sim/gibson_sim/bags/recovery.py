@@ -1,15 +1,18 @@
-"""Makes an mcap file readable whose writer could not finish: after a crash, a power cut or a full disk.
+"""Makes a bag readable whose writer could not finish: after a crash, a power cut or a full disk.
 
-The file is read from the start, chunk by chunk. What follows the last whole chunk is cut off, damaged chunks before it are left
-out of the index, and index, statistics, footer and ``metadata.yaml`` are written anew. The records: https://mcap.dev/spec.
+An mcap file is read from the start, chunk by chunk. What follows the last whole chunk is cut off, damaged chunks before it are left
+out of the index, and index, statistics and footer are written anew. A database gets what its log holds. Then ``metadata.yaml`` is
+written anew for all files. The records of mcap: https://mcap.dev/spec.
 """
 
 from __future__ import annotations
 
 import logging
 import os
+import re
 import struct
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from io import BytesIO, FileIO
 from pathlib import Path
@@ -17,34 +20,20 @@ from typing import BinaryIO
 
 import yaml
 import zstandard
-from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import (
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    MessageIndex,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
+from mcap.records import Channel, Chunk, ChunkIndex, Header, Metadata, MetadataIndex, Schema, Statistics
 from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
-from gibson_sim.bags.metadata import METADATA_FILE, TopicRecord, bag_information, dump_information, write_metadata
+from gibson_sim.bags.mcap_file import MESSAGE, RECORD, ChunkEntry, DataSection, end_of_file, message_index
+from gibson_sim.bags.metadata import TopicRecord, bag_information, read_metadata, write_metadata
+from gibson_sim.bags.sqlite_file import mend_database
+from gibson_sim.bags.storage import RESERVE_FILE, SUFFIXES, EmptyFileError, FileContents, Storage
 from gibson_sim.errors import RecordError
 
-RESERVE_FILE = ".reserve"
-"""Holds disk space while a bag is recorded, to be given up when the disk is full."""
-_RECORD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
-_FOOTER_BYTES = _RECORD.size + 20 + len(MCAP0_MAGIC)
+_FOOTER_BYTES = RECORD.size + 20 + len(MCAP0_MAGIC)
 _KNOWN = frozenset(int(opcode) for opcode in Opcode)
 # What the parsers raise on bytes that are not what they should be: struct, text and checksums, absurd lengths, lz4, zstd, mcap.
 _DAMAGE = (struct.error, ValueError, KeyError, OverflowError, MemoryError, RuntimeError, zstandard.ZstdError, McapError)
@@ -55,7 +44,9 @@ _log = logging.getLogger(__name__)
 class Repair:
     """What ``repair`` did."""
 
-    file: Path
+    folder: Path
+    files: int
+    """Files that can be read now."""
     messages: int
     """Messages that can be read now."""
     cut_bytes: int
@@ -63,36 +54,19 @@ class Repair:
     changed: bool = True
 
     def __str__(self) -> str:
+        files = "" if self.files == 1 else f" in {self.files} files"
         if not self.changed:
-            return f"{self.file} is whole, with {self.messages} messages: nothing to do"
-        return f"{self.file} can be read again: {self.messages} messages; {self.cut_bytes} bytes of a broken end were cut off"
+            return f"{self.folder} is whole, with {self.messages} messages{files}: nothing to do"
+        cut = f"; {self.cut_bytes} bytes of a broken end were cut off" if self.cut_bytes else ""
+        return f"{self.folder} can be read again: {self.messages} messages{files}{cut}"
 
 
 @dataclass(slots=True)
-class _ChunkEntry:
-    """One whole chunk of the file."""
-
-    index: ChunkIndex
-    messages: dict[int, list[tuple[int, int]]]
-    """(log time, offset in the chunk) of its messages by channel."""
-    end: int
-    """Offset in the file behind the chunk and the message indices that follow it."""
-
-
-@dataclass(slots=True)
-class _Contents:
+class _Section(DataSection):
     """What stands in the data section of a file, as far as it is whole."""
 
-    start: int = 0
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-    chunks: list[_ChunkEntry] = field(default_factory=list)
-    metadata: list[MetadataIndex] = field(default_factory=list)
-
-    @property
-    def end(self) -> int:
-        """Offset behind the last whole chunk."""
-        return self.chunks[-1].end if self.chunks else self.start
+    last_messages: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
+    """(log time, offset in the chunk) of the messages of the last chunk by channel."""
 
 
 def repair(folder: str | Path) -> Repair:
@@ -102,26 +76,76 @@ def repair(folder: str | Path) -> Repair:
         RecordError: there is no bag, or its beginning is not that of a bag of ours.
     """
     folder = Path(folder)
-    files = sorted(folder.glob("*.mcap")) if folder.is_dir() else []
-    if len(files) != 1:
-        raise RecordError(
-            f"{folder} holds {len(files)} mcap files, must be a bag folder with one; give the folder that was recorded"
-        )
-    path = files[0]
+    storage, paths = _storage_files(folder)
+    contents: list[FileContents] = []
     try:
-        count = _count_if_whole(path)
-        if count is not None and (folder / METADATA_FILE).is_file():
-            return Repair(path, count, 0, changed=False)
         (folder / RESERVE_FILE).unlink(missing_ok=True)
-        return rebuild(path)
+        for path in paths:
+            try:
+                # The last file makes room for the metadata as well, where there is none.
+                contents.append(_mend(path, storage, lambda found: _publish(folder, storage, [*contents, found])))
+            except EmptyFileError as error:
+                if len(paths) == 1:
+                    raise
+                _log.warning("%s: it is left out", error)
+        messages, cut = sum(c.count for c in contents), sum(c.cut_bytes for c in contents)
+        listed = _is_listed(folder, contents)
+        if not listed:
+            _publish(folder, storage, contents)
+        changed = not listed or any(not c.whole for c in contents)
+        return Repair(folder, len(contents), messages, cut, changed)
     except OSError as error:
         raise RecordError(
-            f"{path} cannot be repaired: {error.strerror}; make room and check the permissions, then try again"
+            f"{folder} cannot be repaired: {error.strerror}; make room and check the permissions, then try again"
         ) from error
 
 
-def rebuild(path: Path) -> Repair:
-    """Writes the end of an mcap file and its ``metadata.yaml`` anew.
+def _storage_files(folder: Path) -> tuple[Storage, list[Path]]:
+    """Returns the kind of the storage files of a bag, and the files in their order.
+
+    Raises:
+        RecordError: there are none, or two kinds.
+    """
+    found: dict[Storage, list[Path]] = {kind: sorted(folder.glob("*" + s), key=_number) for kind, s in SUFFIXES.items()}
+    kinds = [kind for kind, paths in found.items() if paths]
+    if len(kinds) != 1:
+        what = "files of both mcap and sqlite3" if kinds else "no mcap or db3 file"
+        raise RecordError(f"{folder} holds {what}, must be the folder of one bag; give the folder that was recorded")
+    return kinds[0], found[kinds[0]]
+
+
+def _number(path: Path) -> tuple[int, str]:
+    """Returns what sorts ``bag_10`` behind ``bag_9``."""
+    match = re.search(r"_(\d+)$", path.stem)
+    return int(match[1]) if match else 0, path.name
+
+
+def _is_listed(folder: Path, contents: list[FileContents]) -> bool:
+    """Returns whether the metadata lists exactly these files with all their messages."""
+    information = read_metadata(folder)
+    listed = information.get("relative_file_paths"), information.get("message_count")
+    return listed == ([c.path.name for c in contents], sum(c.count for c in contents))
+
+
+def _publish(folder: Path, storage: Storage, contents: list[FileContents]) -> None:
+    """Writes ``metadata.yaml`` of a bag of these files."""
+    topics: dict[str, TopicRecord] = {}
+    for topic in (topic for c in contents for topic in c.topics):
+        before = topics.get(topic.name)
+        count = topic.count + (before.count if before else 0)
+        topics[topic.name] = TopicRecord(topic.name, topic.type_name, topic.qos, topic.type_hash, count)
+    write_metadata(folder, bag_information(list(topics.values()), [c.record for c in contents], storage))
+
+
+def _mend(path: Path, storage: Storage, publish: Callable[[FileContents], None]) -> FileContents:
+    """Makes one file readable and returns what is in it."""
+    if storage == "sqlite3":
+        return mend_database(path)
+    return _contents_if_whole(path) or _rebuild(path, publish)
+
+
+def _rebuild(path: Path, publish: Callable[[FileContents], None]) -> FileContents:
+    """Writes the end of an mcap file anew, and has the metadata written.
 
     If the disk has no room even for these, chunks are given up from the end until there is.
 
@@ -131,116 +155,133 @@ def rebuild(path: Path) -> Repair:
     """
     size = path.stat().st_size
     with path.open("rb") as source:
-        contents = _scan(source, size)
-    cut = size - contents.end
+        section = _scan(source, size)
+    cut = size - section.end
     # Unbuffered: what could not be written must not be tried again with the next seek.
     with path.open("r+b", buffering=0) as file:
         while True:
+            found = _file_contents(path, section, max(cut, 0))
             try:
-                information = _finish(file, contents, path.name)
-                write_metadata(path.parent, information)
-                break
+                _finish(file, section, found)
+                publish(found)
+                return found
             except OSError as error:
-                if not contents.chunks:
+                if not section.chunks:
                     raise
-                lost = contents.chunks.pop()
+                lost = section.chunks.pop()
+                section.last_messages = {}
                 cut += lost.end - lost.index.chunk_start_offset
-                _log.warning("no room for the end of %s (%s): %d messages are given up", path, error.strerror, _count(lost))
-    messages = sum(map(_count, contents.chunks))
-    return Repair(path, messages, max(cut, 0))
+                messages = sum(lost.counts.values())
+                _log.warning("no room for the end of %s (%s): %d messages are given up", path, error.strerror, messages)
 
 
-def _count(chunk: _ChunkEntry) -> int:
-    return sum(map(len, chunk.messages.values()))
+def _file_contents(path: Path, section: DataSection, cut_bytes: int) -> FileContents:
+    start, end, counts = section.times_and_counts()
+    topics = tuple(_topic(channel, section.schemas, counts) for channel in section.channels.values())
+    return FileContents(path, start, end, topics, cut_bytes, whole=False)
 
 
-def _count_if_whole(path: Path) -> int | None:
-    """Returns the number of messages if the file ends as it should, else None."""
+def _topic(channel: Channel, schemas: dict[int, Schema], counts: Counter[int]) -> TopicRecord:
+    qos = yaml.safe_load(channel.metadata.get("offered_qos_profiles", "")) or []
+    schema = schemas.get(channel.schema_id)
+    type_hash = channel.metadata.get("topic_type_hash", "")
+    return TopicRecord(channel.topic, schema.name if schema else "", qos, type_hash, counts[channel.id])
+
+
+def _contents_if_whole(path: Path) -> FileContents | None:
+    """Returns what the summary of a file says if the file ends as it should, else None."""
     size = path.stat().st_size
     if size < _FOOTER_BYTES + len(MCAP0_MAGIC):
         return None
+    section, statistics = DataSection(), None
     with path.open("rb") as file:
         file.seek(size - _FOOTER_BYTES)
         end = file.read()
-        opcode, length = _RECORD.unpack_from(end)
+        opcode, length = RECORD.unpack_from(end)
         if not end.endswith(MCAP0_MAGIC) or (opcode, length) != (Opcode.FOOTER, 20):
             return None
-        (position,) = struct.unpack_from("<Q", end, _RECORD.size)
+        (position,) = struct.unpack_from("<Q", end, RECORD.size)
         while 0 < position < size - _FOOTER_BYTES:
             file.seek(position)
-            opcode, length = _RECORD.unpack(file.read(_RECORD.size))
-            if opcode == Opcode.STATISTICS:
-                return int(Statistics.read(ReadDataStream(BytesIO(file.read(length)))).message_count)
-            position += _RECORD.size + length
-    return None
+            opcode, length = RECORD.unpack(file.read(RECORD.size))
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                _add_definition(section, opcode, file.read(length))
+            elif opcode == Opcode.STATISTICS:
+                statistics = Statistics.read(ReadDataStream(BytesIO(file.read(length))))
+            position += RECORD.size + length
+    if statistics is None:
+        return None
+    counts = Counter(statistics.channel_message_counts)
+    topics = tuple(_topic(channel, section.schemas, counts) for channel in section.channels.values())
+    return FileContents(path, statistics.message_start_time, statistics.message_end_time, topics)
 
 
-def _scan(file: BinaryIO, size: int) -> _Contents:
+def _scan(file: BinaryIO, size: int) -> _Section:
     """Reads the data section up to its end or to the first record that is cut off or damaged."""
-    contents = _Contents()
+    section = _Section()
     file.seek(0)
     if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
         raise RecordError(f"{file.name} is not an mcap file: nothing can be repaired")
     while True:
         position = file.tell()
-        head = file.read(_RECORD.size)
-        if len(head) < _RECORD.size:
+        head = file.read(RECORD.size)
+        if len(head) < RECORD.size:
             break
-        opcode, length = _RECORD.unpack(head)
-        if position + _RECORD.size + length > size or opcode in (Opcode.DATA_END, Opcode.FOOTER):
+        opcode, length = RECORD.unpack(head)
+        if position + RECORD.size + length > size or opcode in (Opcode.DATA_END, Opcode.FOOTER):
             break
         if opcode not in _KNOWN:
             _log.warning("%s is damaged at byte %d", file.name, position)
             break
         try:
-            _take(contents, opcode, length, position, file)
+            _take(section, opcode, length, position, file)
         except _DAMAGE as error:
             _log.warning("%s: the record at byte %d is damaged (%s): it is left out", file.name, position, error)
-        file.seek(position + _RECORD.size + length)
-    if not contents.start:
-        raise RecordError(f"{file.name} ends before its first record: nothing was recorded, delete it")
-    return contents
+        file.seek(position + RECORD.size + length)
+    if not section.start:
+        raise EmptyFileError(f"{file.name} ends before its first record: nothing was recorded, delete it")
+    return section
 
 
-def _take(contents: _Contents, opcode: int, length: int, position: int, file: BinaryIO) -> None:
-    """Adds one record to the contents."""
-    end = position + _RECORD.size + length
+def _take(section: _Section, opcode: int, length: int, position: int, file: BinaryIO) -> None:
+    """Adds one record to the section."""
+    end = position + RECORD.size + length
     if opcode == Opcode.CHUNK:
-        contents.chunks.append(_read_chunk(contents, file.read(length), position))
-    elif opcode == Opcode.MESSAGE_INDEX and contents.chunks and position == contents.chunks[-1].end:
-        chunk = contents.chunks[-1]
+        section.chunks.append(_read_chunk(section, file.read(length), position))
+    elif opcode == Opcode.MESSAGE_INDEX and section.chunks and position == section.chunks[-1].end:
+        chunk = section.chunks[-1]
         (channel,) = struct.unpack("<H", file.read(2))
         chunk.index.message_index_offsets[channel] = position
-        chunk.index.message_index_length += _RECORD.size + length
+        chunk.index.message_index_length += RECORD.size + length
         chunk.end = end
     elif opcode == Opcode.METADATA:
         name = Metadata.read(ReadDataStream(BytesIO(file.read(length)))).name
-        contents.metadata.append(MetadataIndex(offset=position, length=_RECORD.size + length, name=name))
+        section.metadata.append(MetadataIndex(offset=position, length=RECORD.size + length, name=name))
         # In front of the first chunk it stays; behind the last one it is written anew.
-        contents.start = contents.start if contents.chunks else end
+        section.start = section.start if section.chunks else end
     elif opcode == Opcode.HEADER:
         Header.read(ReadDataStream(BytesIO(file.read(length))))
-        contents.start = end
-    elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and not contents.chunks:
-        _add_definition(contents, opcode, file.read(length))
-        contents.start = end
+        section.start = end
+    elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and not section.chunks:
+        _add_definition(section, opcode, file.read(length))
+        section.start = end
     elif opcode == Opcode.MESSAGE:
         raise RecordError(
             f"{file.name} holds messages outside of chunks, so this program did not write it: use `ros2 bag reindex`"
         )
 
 
-def _add_definition(contents: _Contents, opcode: int, payload: bytes) -> None:
+def _add_definition(section: DataSection, opcode: int, payload: bytes) -> None:
     stream = ReadDataStream(BytesIO(payload))
     if opcode == Opcode.SCHEMA:
         schema = Schema.read(stream)
-        contents.schemas[schema.id] = schema
+        section.schemas[schema.id] = schema
     else:
         channel = Channel.read(stream)
-        contents.channels[channel.id] = channel
+        section.channels[channel.id] = channel
 
 
-def _read_chunk(contents: _Contents, payload: bytes, position: int) -> _ChunkEntry:
+def _read_chunk(section: _Section, payload: bytes, position: int) -> ChunkEntry:
     """Reads a whole chunk; raises if it is damaged."""
     chunk = Chunk.read(ReadDataStream(BytesIO(payload)))
     stream, length = get_chunk_data_stream(chunk, validate_crc=True)
@@ -250,21 +291,21 @@ def _read_chunk(contents: _Contents, payload: bytes, position: int) -> _ChunkEnt
     messages: dict[int, list[tuple[int, int]]] = {}
     offset = 0
     while offset < len(data):
-        opcode, size = _RECORD.unpack_from(data, offset)
-        body = offset + _RECORD.size
+        opcode, size = RECORD.unpack_from(data, offset)
+        body = offset + RECORD.size
         if body + size > len(data):
             raise ValueError("a record in the chunk is longer than the chunk")
         if opcode == Opcode.MESSAGE:
-            channel, _, log_time, _ = _MESSAGE.unpack_from(data, body)
+            channel, _, log_time, _ = MESSAGE.unpack_from(data, body)
             messages.setdefault(channel, []).append((log_time, offset))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            _add_definition(contents, opcode, bytes(data[body : body + size]))
+            _add_definition(section, opcode, bytes(data[body : body + size]))
         offset = body + size
-    unknown = messages.keys() - contents.channels.keys()
+    unknown = messages.keys() - section.channels.keys()
     if unknown:
         raise ValueError(f"the chunk has messages of unknown channels {sorted(unknown)}")
     index = ChunkIndex(
-        chunk_length=_RECORD.size + len(payload),
+        chunk_length=RECORD.size + len(payload),
         chunk_start_offset=position,
         compression=chunk.compression,
         compressed_size=len(chunk.data),
@@ -274,90 +315,31 @@ def _read_chunk(contents: _Contents, payload: bytes, position: int) -> _ChunkEnt
         message_start_time=chunk.message_start_time,
         uncompressed_size=chunk.uncompressed_size,
     )
-    return _ChunkEntry(index, messages, position + _RECORD.size + len(payload))
+    section.last_messages = messages
+    counts = Counter({channel: len(entries) for channel, entries in messages.items()})
+    return ChunkEntry(index, counts, position + RECORD.size + len(payload))
 
 
-def _finish(file: FileIO, contents: _Contents, file_name: str) -> dict[str, object]:
-    """Cuts the file behind its last whole chunk and writes everything that follows; returns the bag's information."""
-    file.seek(contents.end)
+def _finish(file: FileIO, section: _Section, found: FileContents) -> None:
+    """Cuts the file behind its last whole chunk and writes everything that follows."""
+    file.seek(section.end)
     file.truncate()
-    builder = RecordBuilder()
-    if contents.chunks:
-        _complete_message_index(contents.chunks[-1], builder)
-    start, end, counts = _times_and_counts(contents.chunks)
-    information = bag_information(_topics(contents, counts), file_name, start, end)
-    position = contents.end
-    metadata = [m for m in contents.metadata if m.offset < position]
-    metadata.append(MetadataIndex(offset=position + builder.count, length=0, name="rosbag2"))
-    before = builder.count
-    Metadata(name="rosbag2", metadata={"serialized_metadata": dump_information(information)}).write(builder)
-    metadata[-1].length = builder.count - before
-    DataEnd(0).write(builder)
-    statistics = Statistics(
-        attachment_count=0,
-        channel_count=len(contents.channels),
-        channel_message_counts=dict(counts),
-        chunk_count=len(contents.chunks),
-        message_count=sum(counts.values()),
-        message_end_time=end,
-        message_start_time=start,
-        metadata_count=len(metadata),
-        schema_count=len(contents.schemas),
-    )
-    summary_start = position + builder.count
-    groups = (
-        (Opcode.SCHEMA, list(contents.schemas.values())),
-        (Opcode.CHANNEL, list(contents.channels.values())),
-        (Opcode.STATISTICS, [statistics]),
-        (Opcode.CHUNK_INDEX, [chunk.index for chunk in contents.chunks]),
-        (Opcode.METADATA_INDEX, metadata),
-    )
-    offsets = []
-    for opcode, records in groups:
-        group = position + builder.count
-        for record in records:
-            record.write(builder)
-        offsets.append(SummaryOffset(group_opcode=opcode, group_start=group, group_length=position + builder.count - group))
-    offset_start = position + builder.count
-    for offset in offsets:
-        offset.write(builder)
-    # A checksum of 0 means: none.
-    Footer(summary_start=summary_start, summary_offset_start=offset_start, summary_crc=0).write(builder)
-    builder.write(MCAP0_MAGIC)
-    rest = memoryview(builder.end())  # type: ignore[no-untyped-call]
+    end = bytearray()
+    if section.chunks:
+        end += _missing_indices(section.chunks[-1], section.last_messages)
+    end += end_of_file(section, section.end + len(end), bag_information(found.topics, [found.record]))
+    rest = memoryview(end)
     while rest:
         rest = rest[file.write(rest) :]
     os.fsync(file.fileno())
-    return information
 
 
-def _complete_message_index(chunk: _ChunkEntry, builder: RecordBuilder) -> None:
-    """Writes the message indices of the last chunk that had not reached the disk."""
-    for channel, messages in chunk.messages.items():
-        if channel in chunk.index.message_index_offsets:
-            continue
-        before = builder.count
-        chunk.index.message_index_offsets[channel] = chunk.end + before
-        MessageIndex(channel_id=channel, records=messages).write(builder)
-        chunk.index.message_index_length += builder.count - before
-
-
-def _times_and_counts(chunks: list[_ChunkEntry]) -> tuple[int, int, Counter[int]]:
-    """Returns the times of the first and the last message, 0 if there is none, and the number of messages by channel."""
-    counts: Counter[int] = Counter()
-    for chunk in chunks:
-        for channel, messages in chunk.messages.items():
-            counts[channel] += len(messages)
-    filled = [chunk.index for chunk in chunks if chunk.messages]
-    start = min((index.message_start_time for index in filled), default=0)
-    return start, max((index.message_end_time for index in filled), default=0), counts
-
-
-def _topics(contents: _Contents, counts: Counter[int]) -> list[TopicRecord]:
-    records = []
-    for channel in contents.channels.values():
-        qos = yaml.safe_load(channel.metadata.get("offered_qos_profiles", "")) or []
-        schema = contents.schemas.get(channel.schema_id)
-        type_hash = channel.metadata.get("topic_type_hash", "")
-        records.append(TopicRecord(channel.topic, schema.name if schema else "", qos, type_hash, counts[channel.id]))
-    return records
+def _missing_indices(chunk: ChunkEntry, messages: dict[int, list[tuple[int, int]]]) -> bytes:
+    """Returns the message indices of the last chunk that had not reached the disk, having entered them in the chunk's index."""
+    added = bytearray()
+    for channel, entries in messages.items():
+        if chunk.index.message_index_offsets.get(channel, chunk.end) >= chunk.end:
+            chunk.index.message_index_offsets[channel] = chunk.end + len(added)
+            added += message_index(channel, entries)
+    chunk.index.message_index_length = chunk.end + len(added) - chunk.index.chunk_start_offset - chunk.index.chunk_length
+    return bytes(added)

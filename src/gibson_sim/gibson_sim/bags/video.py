@@ -56,6 +56,9 @@ def image_to_bgr(msg: Any) -> Bgr:
     Raises:
         RecordError: the encoding is not supported.
     """
+    if msg.encoding not in (*COLOUR_ENCODINGS, *DEPTH_ENCODINGS):
+        known = ", ".join((*COLOUR_ENCODINGS, *DEPTH_ENCODINGS))
+        raise RecordError(f"image encoding {msg.encoding!r} has no picture, must be one of {known}")
     pixels = image_to_array(msg)
     if msg.encoding == "rgb8":
         return np.ascontiguousarray(pixels[..., ::-1])

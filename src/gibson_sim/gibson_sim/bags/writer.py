@@ -1,4 +1,4 @@
-"""Writes rosbag2 folders (storage mcap), message by message, as fast as the disk takes them.
+"""Writes rosbag2 folders (storage mcap or sqlite3), message by message, as fast as the disk takes them.
 
 The messages come as CDR bytes. A disk that runs full ends the recording, but never the bag: what was recorded stays readable.
 Must not import rclpy.
@@ -6,36 +6,31 @@ Must not import rclpy.
 
 from __future__ import annotations
 
-import errno
 import logging
 import os
 import shutil
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, Literal, NoReturn
-
-from mcap.writer import CompressionType, IndexType, Writer as McapWriter
+from typing import Any, NoReturn
 
 from gibson_sim.bags.definitions import MessageDefinitions, canonical_type
-from gibson_sim.bags.metadata import Profile, TopicQos, TopicRecord, bag_information, dump_information, dump_qos, write_metadata
-from gibson_sim.bags.recovery import RESERVE_FILE, Repair, rebuild, repair
+from gibson_sim.bags.mcap_file import COMPRESSIONS, Compression, McapFile
+from gibson_sim.bags.metadata import FileRecord, Profile, TopicQos, TopicRecord, bag_information, write_metadata
+from gibson_sim.bags.recovery import Repair, repair
+from gibson_sim.bags.sqlite_file import SqliteFile
+from gibson_sim.bags.storage import EMERGENCY_BYTES, FULL, MIB, RESERVE_FILE, SUFFIXES, Storage, StorageFile, Tally
 from gibson_sim.errors import RecordError
 
-__all__ = ["BagWriter", "Compression", "DiskFullError", "Repair", "TopicQos", "repair"]
+__all__ = ["EMERGENCY_BYTES", "BagWriter", "Compression", "DiskFullError", "Repair", "Storage", "TopicQos", "repair"]
 
-Compression = Literal["none", "zstd", "lz4"]
-MIB = 1024 * 1024
 RESERVE_BYTES = 128 * MIB
 CHUNK_BYTES = MIB
-"""A chunk ends with the message that makes it longer than this. Larger chunks are slower to write and to read from."""
-EMERGENCY_BYTES = 8 * MIB
-"""Size of the file that is given up when the disk is full: room for the chunk in hand, the index and the metadata."""
+"""A chunk ends with the message that makes it longer than this."""
 CHECK_BYTES = MIB
 """Free space is asked for each time that so many bytes were written."""
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-_COMPRESSIONS = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
 _log = logging.getLogger(__name__)
 
 
@@ -43,109 +38,75 @@ class DiskFullError(RecordError):
     """The disk is full, or nearly so. The bag was closed and holds everything up to here."""
 
 
-class _Sink:
-    """An unbuffered file that, when the disk is full, gives up the emergency file and goes on."""
-
-    def __init__(self, path: Path, emergency: Path) -> None:
-        self._emergency = emergency
-        self._file: BinaryIO | None = path.open("xb", buffering=0)
-        self._position = 0
-        self.full = False
-        """True once the disk was full: what is written since lives on the emergency space."""
-
-    def write(self, data: bytes) -> int:
-        view = memoryview(data)
-        while view:
-            try:
-                written = self._open_file().write(view)
-            except OSError as error:
-                if error.errno not in _FULL or self.full:
-                    raise
-                self.full = True
-                self._emergency.unlink(missing_ok=True)
-                continue
-            self._position += written
-            view = view[written:]
-        return len(data)
-
-    def tell(self) -> int:
-        return self._position
-
-    def flush(self) -> None:
-        """Nothing waits here."""
-
-    def close(self) -> None:
-        file, self._file = self._file, None
-        if file is not None:
-            file.close()
-
-    def _open_file(self) -> BinaryIO:
-        assert self._file is not None, "the file is closed"
-        return self._file
-
-
 class BagWriter:
-    """A bag that is being written: a new folder with one mcap file, and with ``metadata.yaml`` once it is closed.
+    """A bag that is being written: a new folder with one file, or several, and with ``metadata.yaml`` once it is closed.
 
-    Messages wait in memory until their chunk is full, so a crash loses the last chunk at most; ``repair`` makes the rest
-    readable. Not thread-safe: one thread calls.
+    Messages wait in memory until their chunk is full or ``flush`` is called, so a crash loses the last chunk at most; ``repair``
+    makes the rest readable. Not thread-safe: one thread calls.
     """
 
     def __init__(
         self,
         folder: str | Path,
         *,
-        message_definitions: Mapping[str, str] | None = None,
+        storage: Storage = "mcap",
+        message_definitions: Mapping[str, str] | MessageDefinitions | None = None,
         reserve_bytes: int = RESERVE_BYTES,
         chunk_bytes: int = CHUNK_BYTES,
         compression: Compression = "none",
+        max_file_bytes: int = 0,
+        max_file_ns: int = 0,
     ) -> None:
-        """Makes the folder and the file.
+        """Makes the folder and the first file.
 
         Args:
             folder: must not exist, or be empty.
-            message_definitions: text of the ``.msg`` file by type name, for types that are not installed.
+            storage: kind of the files.
+            message_definitions: text of the ``.msg`` file by type name, for types that are not installed; or what another bag
+                has found already.
             reserve_bytes: recording ends when the disk has less than this left.
-            chunk_bytes: size from which on a chunk is written.
-            compression: of the chunks.
+            chunk_bytes: size from which on a chunk is written; only for mcap.
+            compression: of the chunks; only for mcap.
+            max_file_bytes: a file of this size is followed by another one; 0 = never.
+            max_file_ns: a file whose messages lie this far apart is followed by another one, nanoseconds; 0 = never.
 
         Raises:
             RecordError: the folder is not empty or cannot be made, or a setting is impossible.
             DiskFullError: the disk has less than ``reserve_bytes`` left already.
         """
-        if compression not in _COMPRESSIONS:
-            raise RecordError(f"compression is {compression!r}, must be one of {', '.join(_COMPRESSIONS)}")
-        if chunk_bytes < 1 or reserve_bytes < 0:
-            raise RecordError(f"chunk_bytes is {chunk_bytes} and reserve_bytes is {reserve_bytes}; must be at least 1 and 0")
+        _check(storage, compression, chunk_bytes, reserve_bytes, max_file_bytes, max_file_ns)
         self.folder = Path(folder)
-        self._definitions = MessageDefinitions(message_definitions)
-        self._reserve_bytes = reserve_bytes
+        self._storage: Storage = storage
+        given = message_definitions
+        self._definitions = given if isinstance(given, MessageDefinitions) else MessageDefinitions(given)
+        self._reserve_bytes, self._chunk_bytes, self._compression = reserve_bytes, chunk_bytes, compression
+        self._max_file_bytes, self._max_file_ns = max_file_bytes, max_file_ns
         self._topics: dict[str, TopicRecord] = {}
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
-        self._counts: dict[str, int] = {}
-        self._start_ns = self._end_ns = 0
-        self._unchecked = 0
+        self._done: list[FileRecord] = []
+        self._done_counts: Counter[str] = Counter()
+        self._tally = Tally()
+        self._end_ns = self._unchecked = 0
         self._closed = False
         self._finished = False
         # False while a write is under way: Ctrl-C may come in the middle of it, and what lies on the disk then ends anywhere.
         self._whole = True
-        self._path = self.folder / f"{self.folder.resolve().name}_0.mcap"
         self._emergency = self.folder / RESERVE_FILE
         self._make_folder()
-        indices = IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA
         try:
-            self._sink = _Sink(self._path, self._emergency)
-            self._writer = McapWriter(self._sink, chunk_bytes, _COMPRESSIONS[compression], index_types=indices)  # type: ignore[arg-type]
-            self._writer.start(profile="ros2", library="gibson_sim")
+            self._file = self._new_file()
         except OSError as error:
             self._emergency.unlink(missing_ok=True)
-            raise RecordError(f"{self._path} cannot be written: {error.strerror}") from error
+            raise RecordError(f"{self._next_path()} cannot be written: {error.strerror}") from error
 
     @property
     def message_count(self) -> int:
         """Messages taken so far."""
-        return sum(self._counts.values())
+        return sum(self._done_counts.values()) + self._tally.count
+
+    @property
+    def file_count(self) -> int:
+        """Files made so far."""
+        return len(self._done) + 1
 
     def add_topic(self, topic: str, type_name: str, qos: TopicQos | Profile | None = None) -> None:
         """Declares a topic; again with the same type does nothing.
@@ -165,19 +126,14 @@ class BagWriter:
             if known.type_name != type_name:
                 raise RecordError(f"topic {topic} has the type {known.type_name} already, so it cannot also have {type_name}")
             return
-        text, type_hash = self._definitions.full_text(type_name), self._definitions.type_hash(type_name)
-        profiles = [TopicQos.of(qos).as_dict()]
+        record = TopicRecord(topic, type_name, [TopicQos.of(qos).as_dict()], self._definitions.type_hash(type_name), 0)
         self._whole = False
         try:
-            if type_name not in self._schemas:
-                self._schemas[type_name] = self._writer.register_schema(type_name, "ros2msg", text.encode())
-            extra = {"offered_qos_profiles": dump_qos(profiles), "topic_type_hash": type_hash}
-            self._channels[topic] = self._writer.register_channel(topic, "cdr", self._schemas[type_name], extra)
+            self._file.add_topic(record, self._definitions.full_text(type_name))
         except OSError as error:
             self._rescue(error)
         self._whole = True
-        self._topics[topic] = TopicRecord(topic, type_name, profiles, type_hash, 0)
-        self._counts[topic] = 0
+        self._topics[topic] = record
 
     def write(self, topic: str, data: bytes | memoryview, log_time_ns: int, publish_time_ns: int) -> None:
         """Writes one message.
@@ -193,28 +149,62 @@ class BagWriter:
             DiskFullError: the disk is (nearly) full; the bag is closed, and whole.
         """
         self._require_open()
-        channel = self._channels.get(topic)
-        if channel is None:
-            raise RecordError(f"topic {topic} was not declared; known: {', '.join(sorted(self._channels)) or 'none'}")
+        if topic not in self._topics:
+            raise RecordError(f"topic {topic} was not declared; known: {', '.join(sorted(self._topics)) or 'none'}")
         if log_time_ns < self._end_ns or log_time_ns < 0:
             raise RecordError(
                 f"time runs backwards on {topic}: {log_time_ns} ns after {self._end_ns} ns. The simulation was started anew: "
                 "record each run into a bag of its own"
             )
         self._check_space(len(data))
-        if not self.message_count:
-            self._start_ns = log_time_ns
-        self._end_ns = log_time_ns
+        if self._is_file_long(log_time_ns):
+            self.split()
         self._whole = False
         try:
-            self._writer.add_message(channel, log_time_ns, data, publish_time_ns)  # type: ignore[arg-type]
+            self._file.write(topic, bytes(data), log_time_ns, publish_time_ns)
         except OSError as error:
             self._rescue(error)
-        self._counts[topic] += 1
+        self._end_ns = log_time_ns
+        self._tally.add(topic, log_time_ns)
         self._whole = True
-        if self._sink.full:
-            self.close()
+        self._end_if_full()
+
+    def flush(self) -> None:
+        """Hands what waits in memory to the kernel: a crash of this process loses none of it.
+
+        Raises:
+            DiskFullError: the disk is full; the bag is closed, and whole.
+        """
+        if self._closed:
+            return
+        self._whole = False
+        try:
+            self._file.flush()
+        except OSError as error:
+            self._rescue(error)
+        self._whole = True
+        self._end_if_full()
+
+    def split(self) -> bool:
+        """Closes the file in hand and goes on in the next one of the bag; returns False if it has no message yet."""
+        self._require_open()
+        if not self._tally.count:
+            return False
+        self._whole = False
+        try:
+            full = self._finish_file()
+            write_metadata(self.folder, self._information())
+            if not full:
+                self._file = self._new_file()
+                for topic in self._topics.values():
+                    self._file.add_topic(topic, self._definitions.full_text(topic.type_name))
+        except OSError as error:
+            self._rescue(error)
+        self._whole = True
+        if full:
+            self._closed = self._finished = True
             raise DiskFullError(self._full_text())
+        return True
 
     def close(self) -> None:
         """Writes index and metadata and closes the bag; a second time does nothing.
@@ -228,11 +218,13 @@ class BagWriter:
         try:
             if whole:
                 self._whole = False
-                self._finish()
-            else:
-                self._sink.close()
+                self._finish_file()
+                write_metadata(self.folder, self._information())
                 self._emergency.unlink(missing_ok=True)
-                _log.warning("recording was interrupted in the middle of a write: %s", rebuild(self._path))
+            else:
+                self._file.rescue()
+                self._emergency.unlink(missing_ok=True)
+                _log.warning("recording was interrupted in the middle of a write: %s", repair(self.folder))
             self._finished = True
         except OSError as error:
             self._rescue(error)
@@ -243,16 +235,37 @@ class BagWriter:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
         self.close()
 
-    def _finish(self) -> None:
-        """Writes everything that follows the messages."""
-        self._writer.flush()  # type: ignore[no-untyped-call]
-        topics = [replace(topic, count=self._counts[name]) for name, topic in self._topics.items()]
-        information = bag_information(topics, self._path.name, self._start_ns, self._end_ns)
-        self._writer.add_metadata("rosbag2", {"serialized_metadata": dump_information(information)})
-        self._writer.finish()  # type: ignore[no-untyped-call]
-        self._sink.close()
-        self._emergency.unlink(missing_ok=True)
-        write_metadata(self.folder, information)
+    def _next_path(self) -> Path:
+        return self.folder / f"{self.folder.resolve().name}_{len(self._done)}{SUFFIXES[self._storage]}"
+
+    def _new_file(self) -> StorageFile:
+        path = self._next_path()
+        if self._storage == "sqlite3":
+            return SqliteFile(path, self._emergency)
+        return McapFile(path, self._emergency, chunk_bytes=self._chunk_bytes, compression=self._compression)
+
+    def _is_file_long(self, log_time_ns: int) -> bool:
+        """Returns whether the next message belongs into another file."""
+        if not self._tally.count:
+            return False
+        too_long = bool(self._max_file_ns) and log_time_ns - self._tally.start_ns >= self._max_file_ns
+        return too_long or (bool(self._max_file_bytes) and self._file.size >= self._max_file_bytes)
+
+    def _finish_file(self) -> bool:
+        """Writes everything that follows the messages of the file in hand; returns whether the disk is full now."""
+        self._file.flush()
+        record = FileRecord(self._file.path.name, self._tally.start_ns, self._tally.end_ns, self._tally.count)
+        topics = [replace(topic, count=self._tally.counts[name]) for name, topic in self._topics.items()]
+        self._file.finish(bag_information(topics, [record], self._storage))
+        self._done.append(record)
+        self._done_counts.update(self._tally.counts)
+        self._tally = Tally()
+        return self._file.full
+
+    def _information(self) -> dict[str, Any]:
+        """Returns what the metadata says of the finished files."""
+        topics = [replace(topic, count=self._done_counts[name]) for name, topic in self._topics.items()]
+        return bag_information(topics, self._done, self._storage)
 
     def _make_folder(self) -> None:
         """Makes the folder and the emergency file in it, and checks the free space."""
@@ -293,20 +306,26 @@ class BagWriter:
             self.close()
             raise DiskFullError(self._full_text())
 
+    def _end_if_full(self) -> None:
+        """Ends the recording, all of it written, once it lives on the emergency space."""
+        if self._file.full:
+            self.close()
+            raise DiskFullError(self._full_text())
+
     def _rescue(self, error: OSError) -> NoReturn:
-        """Cuts the file back to its last whole chunk and closes the bag, after a write that failed for good."""
+        """Cuts the file in hand back to what is whole and closes the bag, after a write that failed for good."""
         self._closed = self._finished = True
         try:
-            self._sink.close()
+            self._file.rescue()
             self._emergency.unlink(missing_ok=True)
-            result = rebuild(self._path)
+            result = repair(self.folder)
         except (OSError, RecordError) as second:
             raise RecordError(
-                f"{self._path} could not be finished ({error.strerror}; {second}): make room, "
+                f"{self._file.path} could not be finished ({error.strerror}; {second}): make room, "
                 f"then run `gibson-sim bag repair {self.folder}`"
             ) from error
         _log.warning("%s: %s", error.strerror, result)
-        kind = DiskFullError if error.errno in _FULL else RecordError
+        kind = DiskFullError if error.errno in FULL else RecordError
         raise kind(
             f"the bag cannot grow ({error.strerror}): {self.folder} was closed and holds {result.messages} messages, "
             "all readable; make room and record into a new folder"
@@ -317,3 +336,19 @@ class BagWriter:
             f"the disk is full: {self.folder} was closed and holds all {self.message_count} messages; "
             "make room, or record fewer topics or compressed, into a new folder"
         )
+
+
+def _check(
+    storage: str, compression: str, chunk_bytes: int, reserve_bytes: int, max_file_bytes: int, max_file_ns: int
+) -> None:  # fmt: skip
+    """Raises what is wrong with the settings of a writer."""
+    if storage not in SUFFIXES:
+        raise RecordError(f"storage is {storage!r}, must be one of {', '.join(SUFFIXES)}")
+    if compression not in COMPRESSIONS:
+        raise RecordError(f"compression is {compression!r}, must be one of {', '.join(COMPRESSIONS)}")
+    if storage == "sqlite3" and compression != "none":
+        raise RecordError(f"compression is {compression!r}, must be none with storage sqlite3: only mcap has compressed chunks")
+    if chunk_bytes < 1 or reserve_bytes < 0:
+        raise RecordError(f"chunk_bytes is {chunk_bytes} and reserve_bytes is {reserve_bytes}; must be at least 1 and 0")
+    if max_file_bytes < 0 or max_file_ns < 0:
+        raise RecordError(f"max_file_bytes is {max_file_bytes} and max_file_ns is {max_file_ns}; must be 0 (never) or more")

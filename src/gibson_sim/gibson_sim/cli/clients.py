@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from dataclasses import fields
 from typing import Any
 
 from gibson_sim.cli.environment import PARENT_VARIABLE, node_environment, require_nodes
@@ -21,9 +22,9 @@ def add_parsers(subparsers: Any) -> None:
     add_settings(drive, DriveConfig, ("scene", "robot", "length", "linear", "angular", "stamped"))
     drive.set_defaults(run=lambda args: _become("drive", DriveConfig, args))
 
-    record = subparsers.add_parser("record", help="record topics of a running simulation into a rosbag2 bag (mcap)")
+    record = subparsers.add_parser("record", help="record topics of a running simulation into a rosbag2 bag")
     record.add_argument("output", metavar="DIR", help="folder of the bag; it must not exist")
-    add_settings(record, RecordConfig, ("topics", "compression", "reserve_mb", "duration"))
+    add_settings(record, RecordConfig, tuple(f.name for f in fields(RecordConfig) if f.name not in ("output", "summary_path")))
     record.set_defaults(run=lambda args: _become("record", RecordConfig, args))
 
     snapshot = subparsers.add_parser("snapshot", help="write one PNG of each image of every camera of a running simulation")

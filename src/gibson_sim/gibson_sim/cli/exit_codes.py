@@ -14,6 +14,7 @@ class ExitCode(IntEnum):
     ALREADY_RUNNING = 3
     NODE_DIED = 4
     RECORDING_ENDED_EARLY = 5
+    REPLAY_DIFFERS = 6
 
 
 MEANING = {
@@ -23,6 +24,7 @@ MEANING = {
     ExitCode.ALREADY_RUNNING: "a simulation runs in this ROS domain already; for top: none does",
     ExitCode.NODE_DIED: "a node crashed or was killed",
     ExitCode.RECORDING_ENDED_EARLY: "the run went on, but recording stopped early (disk full); the bag is readable",
+    ExitCode.REPLAY_DIFFERS: "replay --verify: the run is not the recorded one; the report names the first tick and topics that differ",
 }
 
 

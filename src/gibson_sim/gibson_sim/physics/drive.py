@@ -60,7 +60,7 @@ class DriveInWorld:
         drive, body = self._drive, self._one.body
         targets = drive.targets(wanted, dt)
         if self._servo is not None:
-            self._servo.push(bullet, drive.velocity, dt)
+            self._servo.push(bullet, drive.base_velocity, dt)
         if self._steering:
             self._steer(bullet, [angle * sign for angle, sign in zip(targets.angles, self._steering_signs, strict=True)], dt)
         speeds = [speed * sign for speed, sign in zip(targets.speeds, self._wheel_signs, strict=True)]
@@ -91,9 +91,8 @@ class DriveInWorld:
         """Adds what the wheels turned in the last step, of ``dt`` seconds, to the odometry; ``stamp_ns`` decides its noise."""
         read = bullet.joint_angles(self._one.body, self._read)
         angles, self._steered = read[: len(self._wheels)], read[len(self._wheels) :]
-        increments: Sequence[float] = [
-            (now - before) * sign for now, before, sign in zip(angles, self._angles, self._wheel_signs, strict=True)
-        ]
+        rolled = [(now - before) * sign for now, before, sign in zip(angles, self._angles, self._wheel_signs, strict=True)]
+        increments = self._drive.encoder_turns(rolled)
         self._angles = angles
         steering = [angle * sign for angle, sign in zip(self._steered, self._steering_signs, strict=True)]
         noise = self._noise

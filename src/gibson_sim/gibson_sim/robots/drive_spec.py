@@ -32,6 +32,10 @@ class _Limits:
     """m/s^2, speeding up and slowing down."""
     max_wheel_torque: float = 10.0
     """N m, of each driven wheel."""
+    command_delay: float = 0.0
+    """Seconds from a command's arrival until the motors obey it, in whole physics steps; 0 to 10."""
+    slip: float = 0.0
+    """Part of the way forward (or sideways) that the wheels roll and the base does not go; below 0 it goes farther; -0.5 to 0.9."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,6 +50,8 @@ class DifferentialSpec(_Limits):
     kind: DriveKind = "differential"
     max_angular_acceleration: float = 4.0
     """rad/s^2."""
+    turn_slip: float = 0.0
+    """Part of the turn that the wheels roll and the base does not make, -0.5 to 0.9."""
     traction: float = 0.8
     """Skid steer: greatest force of all wheels together along the floor, as a fraction of what presses them onto it."""
     left_signs: tuple[float, ...] = ()
@@ -57,6 +63,7 @@ class DifferentialSpec(_Limits):
             self, "wheel_radius", "wheel_separation", "max_linear", "max_angular",
             "max_linear_acceleration", "max_angular_acceleration", "max_wheel_torque", "traction",
         )  # fmt: skip
+        _check_response(self.command_delay, self.slip, self.turn_slip)
         _check_joints((*self.left_joints, *self.right_joints))
         left, right = len(self.left_joints), len(self.right_joints)
         if left != right or left < 1:
@@ -97,6 +104,8 @@ class OmniSpec(_Limits):
     """m/s^2."""
     max_angular_acceleration: float = 4.0
     """rad/s^2."""
+    turn_slip: float = 0.0
+    """Part of the turn that the wheels roll and the base does not make, -0.5 to 0.9."""
     traction: float = 0.5
     """Greatest force of all wheels together along the floor, as a fraction of what presses them onto it."""
 
@@ -105,6 +114,7 @@ class OmniSpec(_Limits):
             self, "wheel_radius", "max_linear", "max_lateral", "max_angular", "max_linear_acceleration",
             "max_lateral_acceleration", "max_angular_acceleration", "max_wheel_torque", "traction",
         )  # fmt: skip
+        _check_response(self.command_delay, self.slip, self.turn_slip)
         _check_joints(tuple(wheel.joint for wheel in self.wheels))
         for wheel in self.wheels:
             if abs(math.cos(wheel.roller)) < 0.1:
@@ -165,6 +175,7 @@ class AckermannSpec(_Limits):
             self, "wheel_radius", "wheelbase", "wheel_separation", "steering_separation", "max_linear", "max_angular",
             "max_linear_acceleration", "max_wheel_torque", "max_steering", "max_steering_rate", "max_steering_torque",
         )  # fmt: skip
+        _check_response(self.command_delay, self.slip)
         _check_joints((self.left_joint, self.right_joint, self.left_steering_joint, self.right_steering_joint))
         if self.max_steering > math.radians(80.0):
             raise ConfigError(f"drive: max_steering is {math.degrees(self.max_steering):g} degrees, must be at most 80")
@@ -192,6 +203,14 @@ def _check_positive(spec: DriveSpec, *names: str) -> None:
         value = getattr(spec, name)
         if not (math.isfinite(value) and value > 0):
             raise ConfigError(f"drive: {name} is {value!r}, must be a finite number above 0")
+
+
+def _check_response(command_delay: float, slip: float, turn_slip: float = 0.0) -> None:
+    if not 0.0 <= command_delay <= 10.0:
+        raise ConfigError(f"drive: command_delay is {command_delay!r} s, must be 0 to 10; was it given in milliseconds?")
+    for name, value in (("slip", slip), ("turn_slip", turn_slip)):
+        if not -0.5 <= value <= 0.9:
+            raise ConfigError(f"drive: {name} is {value!r}, must be -0.5 to 0.9; 0 = none, 0.1 = a tenth of the motion is lost")
 
 
 def _check_joints(names: tuple[str, ...]) -> None:

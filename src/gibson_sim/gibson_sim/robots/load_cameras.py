@@ -1,16 +1,18 @@
-"""Reads the ``cameras`` section of a ``robot.yaml``."""
+"""Reads the ``cameras`` section of a ``robot.yaml``, or of a file of its own."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Collection
 from dataclasses import fields
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
-from gibson_sim.errors import RobotError
+from gibson_sim.errors import ConfigError, RobotError
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, Mat4, matrix_from_pose, pose_from_matrix, pose_from_xyz_rpy
-from gibson_sim.robots.settings import NAME, Settings
+from gibson_sim.robots.settings import NAME, Settings, read_yaml
 from gibson_sim.robots.urdf import UrdfModel
 from gibson_sim.types import DEFAULT_OUTPUTS, DISTORTIONS, OUTPUTS, CameraSpec, DepthNoise, ImageEffects, Pose, Projection
 
@@ -21,6 +23,8 @@ _CAMERA_KEYS = (
 )  # fmt: skip
 _MATRIX_KEYS = ("fx", "fy", "cx", "cy", "skew")
 _POSE_KEYS = ("xyz", "rpy_deg")
+WORLD = "map"
+"""Stands for no link: fixed to the world."""
 
 
 def read_cameras(robot: Settings, model: UrdfModel, name: str) -> tuple[CameraSpec, ...]:
@@ -28,19 +32,56 @@ def read_cameras(robot: Settings, model: UrdfModel, name: str) -> tuple[CameraSp
     entries = robot.values.get("cameras") or []
     if not isinstance(entries, list):
         raise RobotError(f"{robot.where}: cameras must be a list, is {type(entries).__name__}")
-    cameras = tuple(_camera(Settings(entry, f"{robot.where}: cameras[{i}]"), model, name) for i, entry in enumerate(entries))
+    return _cameras(entries, robot.where, lambda link: f"{name}/{model.link(link).name}")
+
+
+def load_cameras(path: Path, links: Collection[str]) -> tuple[CameraSpec, ...]:
+    """Returns the cameras of a file whose section ``cameras`` is as in a ``robot.yaml``, which may be the file itself.
+
+    Args:
+        path: the YAML file.
+        links: ``<body>/<link>``, all that a camera may be fixed to. The file may leave out the body where only one has such a link;
+            ``map`` is the world.
+
+    Raises:
+        RobotError: the file cannot be read, or a key or a value is wrong; an unknown link is answered with those that there are.
+    """
+    document = Settings(read_yaml(path), str(path))
+    if "urdf" not in document.values:  # else it is a robot.yaml, and its other keys are checked where robots are loaded
+        document.check_keys(("cameras",))
+    entries = document.values.get("cameras") or []
+    if not isinstance(entries, list) or not entries:
+        raise RobotError(f"{path}: cameras is {entries!r}, must be a list with at least one camera, as in a robot.yaml")
+
+    def find(link: str) -> str:
+        if link in (*links, WORLD):
+            return "" if link == WORLD else link
+        ends = [known for known in links if known.endswith(f"/{link}")]
+        if len(ends) == 1:
+            return ends[0]
+        what = f"stands for {' and '.join(ends)}" if ends else "is not in the scene"
+        raise RobotError(f"{path}: link {link!r} {what}; there are: {WORLD}, {', '.join(links)}")
+
+    try:
+        return _cameras(entries, str(path), find)
+    except ConfigError as error:
+        raise RobotError(f"{path}: {error}") from error
+
+
+def _cameras(entries: list[Any], where: str, find_link: Callable[[str], str]) -> tuple[CameraSpec, ...]:
+    cameras = tuple(_camera(Settings(entry, f"{where}: cameras[{i}]"), find_link) for i, entry in enumerate(entries))
     names = [camera.name for camera in cameras]
     if len(set(names)) != len(names):
-        raise RobotError(f"{robot.where}: cameras are named {', '.join(names)}; names must differ")
+        raise RobotError(f"{where}: cameras are named {', '.join(names)}; names must differ")
     return cameras
 
 
-def _camera(settings: Settings, model: UrdfModel, name: str) -> CameraSpec:
+def _camera(settings: Settings, find_link: Callable[[str], str]) -> CameraSpec:
     settings.check_keys(_CAMERA_KEYS)
     camera_name = settings.text("name")
     if not NAME.fullmatch(camera_name):
         raise RobotError(f"{settings.where}: name is {camera_name!r}; use letters, digits and _, a letter first")
-    link = model.link(settings.text("link")).name
+    link = find_link(settings.text("link"))
     values: dict[str, Any] = {
         **settings.integers(("width", "height", "samples")),
         **settings.numbers(("near", "far", "rate_hz", "stereo_baseline")),
@@ -53,7 +94,7 @@ def _camera(settings: Settings, model: UrdfModel, name: str) -> CameraSpec:
     if not isinstance(outputs, list) or not all(isinstance(item, str) for item in outputs):
         raise RobotError(f"{settings.where}: outputs is {outputs!r}, must be a list of {', '.join(OUTPUTS)}")
     pose = _camera_pose(settings, link)
-    return CameraSpec(name=camera_name, link=f"{name}/{link}", pose=pose, outputs=tuple(outputs), **values)
+    return CameraSpec(name=camera_name, link=link, pose=pose, outputs=tuple(outputs), **values)
 
 
 def _optics(settings: Settings) -> dict[str, Any]:
@@ -113,7 +154,7 @@ def _plain(section: Settings, kind: type[ImageEffects] | type[DepthNoise]) -> Im
 def _camera_pose(settings: Settings, link: str) -> Pose:
     """Returns T_link_optical. REP 103: a link whose name holds ``_optical`` has optical axes already."""
     place = settings.section("pose")
-    if "_optical" in link:
+    if "_optical" in link.rpartition("/")[2]:
         if place is not None:
             raise RobotError(
                 f"{settings.where}: link {link!r} is optical and takes no pose; name the link it is fixed to instead"

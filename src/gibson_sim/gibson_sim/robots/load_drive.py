@@ -14,7 +14,8 @@ from gibson_sim.robots.drive_spec import AckermannSpec, DifferentialSpec, DriveS
 from gibson_sim.robots.settings import Settings
 from gibson_sim.robots.urdf import UrdfJoint, UrdfModel
 
-_LIMITS = ("max_linear", "max_angular", "max_linear_acceleration", "max_wheel_torque")
+_LIMITS = ("max_linear", "max_angular", "max_linear_acceleration", "max_wheel_torque", "command_delay", "slip")
+_TURNS = ("max_angular_acceleration", "turn_slip")
 _STRAIGHT = 0.99
 """Cosine of the largest angle between an axis and where it should point."""
 
@@ -92,7 +93,7 @@ class _Parts:
 
 
 def _differential(parts: _Parts) -> DifferentialSpec:
-    limits = (*_LIMITS, "max_angular_acceleration")
+    limits = (*_LIMITS, *_TURNS)
     parts.settings.check_keys(("type", "left_joint", "right_joint", "wheel_radius", "wheel_separation", *limits))
     left, right = (parts.wheel(parts.settings.text(key)) for key in ("left_joint", "right_joint"))
     given = parts.settings.numbers(("wheel_separation", *limits))
@@ -104,7 +105,7 @@ def _differential(parts: _Parts) -> DifferentialSpec:
 
 
 def _skid_steer(parts: _Parts) -> DifferentialSpec:
-    limits = (*_LIMITS, "max_angular_acceleration", "traction")
+    limits = (*_LIMITS, *_TURNS, "traction")
     keys = ("type", "left_joints", "right_joints", "wheel_radius", "wheel_separation", "separation_factor", *limits)
     parts.settings.check_keys(keys)
     left, right = ([parts.wheel(name) for name in parts.names(key)] for key in ("left_joints", "right_joints"))
@@ -122,7 +123,7 @@ def _skid_steer(parts: _Parts) -> DifferentialSpec:
 
 
 def _omni(parts: _Parts) -> OmniSpec:
-    limits = (*_LIMITS, "max_lateral", "max_lateral_acceleration", "max_angular_acceleration", "traction")
+    limits = (*_LIMITS, "max_lateral", "max_lateral_acceleration", *_TURNS, "traction")
     parts.settings.check_keys(("type", "wheels", "wheel_radius", *limits))
     items = parts.settings.values.get("wheels")
     if not isinstance(items, list) or not items:

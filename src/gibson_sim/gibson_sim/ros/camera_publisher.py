@@ -1,30 +1,18 @@
-"""All topics of one camera: which of them somebody listens to, what must be drawn for those, and their messages."""
+"""All topics of one camera: which of them somebody listens to, and their messages on them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
-from typing import Any
-
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 from gibson_sim.config import RenderConfig
 from gibson_sim.geometry.transforms import Mat4
-from gibson_sim.ros import conversions, names, qos
+from gibson_sim.ros import qos
+from gibson_sim.ros.camera_messages import REGISTERED, CameraMessages
 from gibson_sim.scenes.spec import DrawnScene
-from gibson_sim.sensors.depth_noise import apply_depth_noise
-from gibson_sim.sensors.depth_registration import DepthRegistration, split_for
-from gibson_sim.sensors.image_codecs import COMPRESSED_DEPTH_FORMAT, ColorCodec, color_format, encode_color, encode_depth
-from gibson_sim.sensors.point_cloud import cloud_of_frame
 from gibson_sim.types import CameraSpec, Frame, Output
 
-COMPRESSED, COMPRESSED_DEPTH, POINTS, REGISTERED, REGISTERED_INFO = (
-    "compressed", "compressed_depth", "points", "registered", "registered_info",
-)  # fmt: skip
-"""Kinds of messages, beside those of ``names.camera_topics``."""
-_LABELS: tuple[Output, ...] = ("semantic", "instance")
+__all__ = ["REGISTERED", "CameraPublisher"]
 
 
 class CameraPublisher:
@@ -42,36 +30,14 @@ class CameraPublisher:
 
     def __init__(self, node: Node, camera: CameraSpec, config: RenderConfig, target: CameraSpec | None = None) -> None:
         self.camera, self.target = camera, target
-        self._node, self._config = node, config
+        self._node = node
+        self._messages = CameraMessages(camera, config, target)
         self._publishers: dict[str, Publisher] = {}
         self._label_publishers: dict[Output, Publisher] = {}
-        self._labels: dict[Output, tuple[str, ...]] = {}
-        self._registration: tuple[bytes, DepthRegistration] | None = None
-        if target is not None:
-            split_for(camera, target)  # now, not at each image
-        for kind, message_type, topic in self._topics():
+        for kind, message_type, topic in self._messages.topics():
             self._publishers[kind] = qos.make_publisher(node, message_type, topic, qos.SENSOR)
-        for output in _LABELS:
-            if output in camera.outputs:
-                topic = names.label_info_topic(camera.name, output)
-                publisher = qos.make_publisher(node, conversions.label_info_type(), topic, qos.LATCHED)
-                self._label_publishers[output] = publisher
-
-    def _topics(self) -> Iterator[tuple[str, Any, str]]:
-        """Yields kind, type and topic of all that is published at the camera's rate."""
-        camera, topics = self.camera, names.camera_topics(self.camera.name)
-        for output in camera.outputs:
-            yield output, Image, topics[output]
-            yield f"{output}_info", CameraInfo, topics[f"{output}_info"]
-        if "rgb" in camera.outputs:
-            yield COMPRESSED, CompressedImage, names.compressed_topic(topics["rgb"])
-        if "depth" in camera.outputs:
-            yield COMPRESSED_DEPTH, CompressedImage, names.compressed_depth_topic(topics["depth"])
-            yield POINTS, PointCloud2, names.points_topic(camera.name)
-            if self.target is not None:
-                image, info = names.registered_depth_topics(camera.name)
-                yield REGISTERED, Image, image
-                yield REGISTERED_INFO, CameraInfo, info
+        for output, message_type, topic in self._messages.label_topics():
+            self._label_publishers[output] = qos.make_publisher(node, message_type, topic, qos.LATCHED)
 
     def wanted(self) -> frozenset[str]:
         """Returns the kinds of messages that somebody listens to now. It takes some microseconds for each topic."""
@@ -79,22 +45,14 @@ class CameraPublisher:
 
     def to_draw(self, wanted: frozenset[str]) -> CameraSpec | None:
         """Returns the camera with the outputs that these messages are made of; None where none of them needs a picture."""
-        needed: set[str] = {kind for kind in wanted if kind in self.camera.outputs}
-        if COMPRESSED in wanted or POINTS in wanted:
-            needed.add("rgb")
-        if wanted & {COMPRESSED_DEPTH, POINTS, REGISTERED}:
-            needed.add("depth")
-        if "depth" in needed and self.camera.depth_noise.hole_angle_deg < 90.0:
-            needed.add("normal")  # holes follow the normals where the camera has them: depth must not depend on who listens
-        outputs = tuple(output for output in self.camera.outputs if output in needed)
-        return replace(self.camera, outputs=outputs) if outputs else None
+        return self._messages.to_draw(wanted)
 
     def publish_info(self, stamp_ns: int, wanted: frozenset[str]) -> set[str]:
         """Publishes the calibration on the topics of it that are wanted; returns which."""
-        done = {kind for kind in wanted if kind.endswith("_info")}
-        for kind in done:
-            camera = self.target if kind == REGISTERED_INFO and self.target is not None else self.camera
-            self._publishers[kind].publish(conversions.camera_info_to_msg(camera, stamp_ns))
+        done = set()
+        for kind, message in self._messages.infos(stamp_ns, wanted):
+            self._publishers[kind].publish(message)
+            done.add(kind)
         return done
 
     def publish(self, frame: Frame, wanted: frozenset[str], T_target_camera: Mat4 | None) -> set[str]:
@@ -105,49 +63,16 @@ class CameraPublisher:
             wanted: kinds of messages.
             T_target_camera: to the optical frame of the camera that depth is registered to, at the frame's stamp; None = not wanted.
         """
-        noisy = apply_depth_noise(frame, self.camera.depth_noise)
         done = set()
-        for kind, message in self._messages(noisy, wanted, T_target_camera):
+        for kind, message in self._messages.images(frame, wanted, T_target_camera):
             self._publishers[kind].publish(message)
             done.add(kind)
         return done
 
-    def _messages(self, frame: Frame, wanted: frozenset[str], T_target_camera: Mat4 | None) -> Iterator[tuple[str, Any]]:
-        config, stamp, frame_id = self._config, frame.stamp_ns, self.camera.optical_frame
-        yield from conversions.frame_to_image_msgs(frame, wanted & set(self.camera.outputs)).items()
-        if COMPRESSED in wanted and frame.rgb is not None:
-            codec: ColorCodec = "png" if config.compressed_format == "png" else "jpeg"
-            data = encode_color(frame.rgb, codec, jpeg_quality=config.jpeg_quality, png_level=config.png_level)
-            yield COMPRESSED, conversions.compressed_to_msg(data.tobytes(), color_format(codec), stamp, frame_id)
-        if frame.depth is None:
-            return
-        if COMPRESSED_DEPTH in wanted:
-            packed = encode_depth(
-                frame.depth, depth_max=config.compressed_depth_max, quantization=config.compressed_depth_quantization,
-                png_level=config.png_level,
-            )  # fmt: skip
-            yield COMPRESSED_DEPTH, conversions.compressed_to_msg(packed, COMPRESSED_DEPTH_FORMAT, stamp, frame_id)
-        if POINTS in wanted:
-            yield POINTS, conversions.cloud_to_msg(cloud_of_frame(frame), stamp, frame_id)
-        if REGISTERED in wanted and self.target is not None and T_target_camera is not None:
-            pixels = self._registered(T_target_camera).image(frame.depth)
-            yield REGISTERED, conversions.image_to_msg(pixels, "32FC1", stamp, self.target.optical_frame)
-
-    def _registered(self, T_target_camera: Mat4) -> DepthRegistration:
-        """Returns the way to the other camera, the same one as long as the two do not move against each other."""
-        assert self.target is not None
-        key = (T_target_camera.round(9) + 0.0).tobytes()  # no -0.0, which is 0.0 in other bytes
-        if self._registration is None or self._registration[0] != key:
-            self._registration = key, DepthRegistration(self.camera, self.target, T_target_camera)
-        return self._registration[1]
-
     def publish_labels(self, scene: DrawnScene, stamp_ns: int) -> None:
         """Publishes what the numbers of label images mean, where that has changed."""
-        for output, publisher in self._label_publishers.items():
-            labels = scene.semantic_classes if output == "semantic" else scene.instances
-            if self._labels.get(output) != labels:
-                self._labels[output] = labels
-                publisher.publish(conversions.label_info_to_msg(labels, stamp_ns, self.camera.optical_frame))
+        for output, message in self._messages.labels(scene, stamp_ns):
+            self._label_publishers[output].publish(message)
 
     def close(self) -> None:
         """Removes its topics; a second call does nothing."""

@@ -249,23 +249,24 @@ class PhysicsNode(Node):
         if self._done:
             return
         simulator, now_ns, gate = self.simulator, time.monotonic_ns(), self._gate
-        self._follow_changes()
         if gate is not None:
             assert self._stamped is not None
             for topic in self._stamped.arrived():
                 gate.core.receive(topic.lstrip("/"), now_ns)
         left = 0
         if gate is None or gate.may_go():
+            # Not while a tick waits: a renderer that has the next scene already could not draw it.
+            self._follow_changes()
             self._take_planned()
             left = simulator.steps_due(self._pacer.due(now_ns))
         while left and not self._done:
             self._step(now_ns)
             left -= 1
-            if gate is not None and not gate.core.is_open:
+            waits = gate is not None and not gate.core.is_open
+            if waits or self._take_planned():
                 if simulator.state is SimulationState.PLAYING:
                     self._pacer.give_back(left)
                 break
-            self._take_planned()
         self._done = self._done or (self._standard is not None and self._standard.quit_is_answered)
 
     def _on_tick_done(self) -> None:
@@ -278,8 +279,13 @@ class PhysicsNode(Node):
         if self._gate is not None:
             self._gate.receive(topic)
 
-    def _take_planned(self) -> None:
-        """Obeys what was planned for the next step. In lockstep only once a tick is done: until then, not all of it may be there."""
+    def _take_planned(self) -> bool:
+        """Obeys what was planned for the next step. In lockstep only once a tick is done: until then, not all of it may be there.
+
+        Returns:
+            Whether a request was among it, after which no step may be due: it may have stopped time, or taken the world away.
+        """
+        requested = False
         while planned := self._journal.due():
             for name, message in planned:
                 robot = next((robot for robot in self._robots.values() if name in robot.command_topics), None)
@@ -287,10 +293,12 @@ class PhysicsNode(Node):
                     if robot is not None:
                         robot.give(name, message)
                     elif self._standard is not None:
+                        requested = True
                         self._standard.repeat(name, message)
                 except ConfigError as error:
                     self.get_logger().warning(f"a planned input is left out: {error}")
             self._follow_changes()
+        return requested
 
     def _step(self, now_ns: int) -> None:
         """Makes one step and publishes what is due at it."""
@@ -352,6 +360,8 @@ class PhysicsNode(Node):
         cameras = self._world_topics.cameras
         images = [names.camera_topics(camera.name)[output] for camera in cameras for output in camera.outputs]
         wanted.update(dict.fromkeys(images, count))
+        count = wanted.pop("robots", 0)
+        wanted.update(dict.fromkeys((robot.truth_topic for robot in self._robots.values()), count))
         while goes_on():
             missing = {topic: count for topic, count in wanted.items() if self.count_subscribers(topic) < count}
             if not missing:

@@ -2,39 +2,48 @@
 
 from __future__ import annotations
 
-from functools import partial
-from importlib import import_module
-from typing import Any, cast
+import math
+import sys
+import time
+from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
-from rosgraph_msgs.msg import Clock as ClockMsg
+from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from gibson_sim.bags.writer import BagWriter, Compression
+from gibson_sim.bags.recording import Recording, report_lines
 from gibson_sim.config import RecordConfig
-from gibson_sim.errors import ConfigError, RecordError
-from gibson_sim.ros import conversions, names, qos
-from gibson_sim.ros.node_main import run_node, spin_while, write_summary
+from gibson_sim.errors import RecordError
+from gibson_sim.ros import names, qos
+from gibson_sim.ros.executor import make_executor
+from gibson_sim.ros.intake import DEPTH, Intake, Taken, offered_qos, recording_profile
+from gibson_sim.ros.node_main import goes_on, run_node, started_by_launcher, write_summary
 from gibson_sim.ros.params import config_from_parameters
-from gibson_sim.types import NS_PER_S
+from gibson_sim.ros.record_services import offer_services
 
-DEPTH = 200
-"""Messages of a topic that may wait for the disk."""
-MOST_WAITING = 1000
-"""Messages that wait for the first clock, beside latched ones."""
+CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
+TURN_S = 0.01
+"""What waits is taken so often. The middleware holds it until then, so this decides no time in the bag."""
+QUIET_S, MOST_DRAIN_S = 0.3, 3.0
+"""At the end: nothing came for so long that was sent before; and how long that may take."""
 PATIENCE_S = 30.0
 """Without /clock for so long, a user wants to know why nothing is recorded."""
+UNHEARD_S = 5.0
+"""So long it may take until a new publisher is heard."""
+ENDED_EARLY = 5
+"""Exit code where the disk was full: the bag is readable. With settings that cannot be used it is 1, as of every node."""
 
 
 class RecordNode(Node):
     """Subscribes to topics as they appear and writes what they carry; ends cleanly, bag intact, when the disk is nearly full.
 
-    The time of each message in the bag is the newest /clock, as `ros2 bag record --use-sim-time` has it; nothing is written
-    before the first /clock, except latched messages, which get its time.
+    All that waits is taken at once and written in the order in which it was sent. The time of each message in the bag is the newest
+    /clock before it, as `ros2 bag record --use-sim-time` has it; nothing is written before the first /clock, except latched
+    messages, which get its time. Asked to end, it takes everything that was sent before, then closes the bag.
 
     Parameters: the fields of ``gibson_sim.config.RecordConfig``.
+
+    Services (rosbag2_interfaces): ~/pause, ~/resume, ~/is_paused; ~/split_bagfile, or ~/snapshot with ``snapshot_seconds``.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -44,40 +53,48 @@ class RecordNode(Node):
             RecordError: the folder cannot be used.
         """
         super().__init__("record", **kwargs)
-        self._bag: BagWriter | None = None
+        self._intake: Intake | None = None
         self._config = config = config_from_parameters(self, RecordConfig)
-        if not config.output:
-            raise ConfigError("setting 'output' is empty, must be the folder of the bag")
         self._wanted = {self.resolve_topic_name(t.strip()) for t in config.topics.split(",") if t.strip()}
-        self._bag = BagWriter(
-            config.output, reserve_bytes=config.reserve_mb * 1_000_000, compression=cast(Compression, config.compression)
-        )
+        self._recording = Recording(config)
         self._seen: set[str] = set()
-        self._now_ns = 0
-        self._start_ns = 0
-        self._waiting: list[tuple[str, bytes]] = []
-        self._counts: dict[str, int] = {}
-        self._error = ""
-        self._done = False
-        self.create_subscription(ClockMsg, names.CLOCK, self._on_clock, DEPTH, raw=True)
-        self.create_timer(0.2, self._find_topics, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._unheard: dict[str, float] = {}
+        self._intake = Intake(self)
+        self._intake.subscribe(names.CLOCK, CLOCK_TYPE, QoSProfile(depth=DEPTH))
+        offer_services(self, self._recording, lambda: self._take_waiting(all_of_it=True))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(0.2, self._find_topics, clock=steady)
+        self.create_timer(config.flush_period, self._recording.flush, clock=steady)
+        self.create_timer(PATIENCE_S, self._complain_without_clock, clock=steady)
         self._find_topics()
 
     def _find_topics(self) -> None:
         """Subscribes to what has appeared since the last look. The scene state comes last: see ``PhysicsConfig``."""
-        found = dict(self.get_topic_names_and_types())
+        assert self._intake is not None
+        self._warn_of_unheard(self._intake.count_publishers())
+        found = {topic for topic, _ in self.get_topic_names_and_types() if topic not in self._seen and self._is_wanted(topic)}
         state = self.resolve_topic_name(names.SCENE_STATE)
-        for topic in sorted(found, key=lambda t: t == state):
-            if topic in self._seen or not self._is_wanted(topic):
-                continue
+        for topic in sorted(found, key=lambda t: (t == state, t)):
             publishers = self.get_publishers_info_by_topic(topic)
-            if topic == names.CLOCK or not publishers:
-                continue
-            self._seen.add(topic)
-            self._record(topic, publishers)
-        if names.CLOCK in found and names.CLOCK not in self._seen and (not self._wanted or names.CLOCK in self._wanted):
-            self._seen.add(names.CLOCK)
-            self._writer.add_topic(names.CLOCK, "rosgraph_msgs/msg/Clock", qos.CLOCK)
+            if topic == names.CLOCK:
+                self._seen.add(topic)
+                self._recording.add_topic(topic, CLOCK_TYPE, qos.CLOCK)
+            elif publishers:
+                self._seen.add(topic)
+                self._record(topic, publishers)
+
+    def _warn_of_unheard(self, unheard: dict[str, tuple[int, int]]) -> None:
+        """Warns once of publishers that stay unheard: those that came later may offer less than the subscription asks for."""
+        now = time.monotonic()
+        self._unheard = {topic: self._unheard.get(topic, now) for topic in unheard}
+        for topic, since in self._unheard.items():
+            if UNHEARD_S < now - since < math.inf:
+                self._unheard[topic] = -math.inf
+                heard, there = unheard[topic]
+                self.get_logger().warning(
+                    f"{topic}: {heard} of {there} publishers are recorded; the others offer less (best effort, not latched) than the "
+                    "first ones did, or another type"
+                )
 
     def _is_wanted(self, topic: str) -> bool:
         """Whether to record a topic. Of all topics those are left out that hold what others hold, and hidden ones, as rosbag2 does."""
@@ -87,81 +104,72 @@ class RecordNode(Node):
 
     def _record(self, topic: str, publishers: list[Any]) -> None:
         """Subscribes to one topic, as reliable and as latched as its publishers allow."""
+        assert self._intake is not None
         type_name = publishers[0].topic_type
-        package, _, name = type_name.partition("/msg/")
+        profile = recording_profile(publishers, type_name)
+        latched = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
         try:
-            message_type = getattr(import_module(f"{package}.msg"), name)
-        except (ImportError, AttributeError):
-            self.get_logger().warning(f"{topic} is not recorded: its type {type_name} is not installed here")
-            return
-        profiles = [p.qos_profile for p in publishers]
-        reliable = all(p.reliability == ReliabilityPolicy.RELIABLE for p in profiles)
-        latched = all(p.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in profiles)
-        profile = QoSProfile(
-            history=HistoryPolicy.KEEP_LAST,
-            depth=DEPTH,
-            reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-        )
-        try:
-            self._writer.add_topic(topic, type_name, profile)
+            self._recording.add_topic(topic, type_name, offered_qos(profile, type_name), latched=latched)
+            self._intake.subscribe(topic, type_name, profile)
         except RecordError as error:
             self.get_logger().warning(f"{topic} is not recorded: {error}")
-            return
-        self.create_subscription(message_type, topic, partial(self._on_message, topic, latched), profile, raw=True)
 
-    @property
-    def _writer(self) -> BagWriter:
-        assert self._bag is not None, "the bag is closed"
-        return self._bag
+    def _take_waiting(self, *, all_of_it: bool = False) -> None:
+        assert self._intake is not None
+        self._write(self._intake.take(all_of_it=all_of_it))
 
-    def _on_clock(self, data: bytes) -> None:
-        self._now_ns = conversions.time_from_msg(deserialize_message(data, ClockMsg).clock)
-        if not self._start_ns:
-            self._start_ns = self._now_ns
-            waiting, self._waiting = self._waiting, []
-            for topic, message in waiting:
-                self._write(topic, message)
-        if names.CLOCK in self._seen:
-            self._write(names.CLOCK, data)
-        if self._config.duration and self._now_ns - self._start_ns >= self._config.duration * NS_PER_S:
-            self._done = True
-
-    def _on_message(self, topic: str, latched: bool, data: bytes) -> None:
-        if self._now_ns:
-            self._write(topic, data)
-        elif latched or len(self._waiting) < MOST_WAITING:
-            # The first clock may be handed out after what came behind it.
-            self._waiting.append((topic, data))
-
-    def _write(self, topic: str, data: bytes) -> None:
-        """Writes one message; a full disk ends the recording, not the simulation."""
-        if self._done:
-            return
-        try:
-            self._writer.write(topic, data, self._now_ns, self._now_ns)
-            self._counts[topic] = self._counts.get(topic, 0) + 1
-        except RecordError as error:
-            self._error, self._done = str(error), True
-            self.get_logger().error(f"recording ends: {error}")
+    def _write(self, messages: list[Taken]) -> None:
+        """Writes messages in the order in which they were sent."""
+        for message in messages:
+            if message.topic == names.CLOCK:
+                self._recording.on_clock(message.data)
+            else:
+                self._recording.take(message.topic, message.data)
 
     def spin(self) -> int:
-        """Records until the context ends, ``duration`` has passed or the disk is full; returns the exit code."""
-        self.create_timer(PATIENCE_S, self._complain_without_clock, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        spin_while(self, lambda: not self._done)
-        return 1 if self._error else 0
+        """Records until it is asked to end, ``duration`` has passed or the disk is full; returns the exit code."""
+        executor = make_executor()
+        executor.add_node(self)
+        while goes_on() and not self._recording.done:
+            began = time.monotonic()
+            self._take_waiting()
+            executor.spin_once(timeout_sec=max(0.0, TURN_S - (time.monotonic() - began)))
+        executor.remove_node(self)
+        if not self._recording.done:
+            self._drain()
+        return ENDED_EARLY if self._recording.error else 0
+
+    def _drain(self) -> None:
+        """Takes what was sent before now and is still on its way."""
+        assert self._intake is not None
+        asked_ns, began = time.time_ns(), time.monotonic()
+        quiet = began
+        while (now := time.monotonic()) - quiet < QUIET_S and now - began < MOST_DRAIN_S:
+            messages = self._intake.take()
+            self._write(messages)
+            if any(message.sent_ns <= asked_ns for message in messages):
+                quiet = time.monotonic()
+            time.sleep(TURN_S)
+        self._take_waiting(all_of_it=True)
 
     def _complain_without_clock(self) -> None:
-        if not self._now_ns:
+        if not self._recording.has_clock:
             self.get_logger().warning("nothing is recorded yet: no /clock arrives; is a simulation running in this domain?")
 
     def close(self) -> None:
-        """Closes the bag."""
-        if self._bag is not None:
-            bag, self._bag = self._bag, None
-            bag.close()
-            summary = {"bag": self._config.output, "messages": self._counts, "error": self._error}
-            write_summary(self._config.summary_path, summary)
+        """Closes the bag, and says what is in it."""
+        intake, self._intake = self._intake, None
+        if intake is None:
+            return
+        self._recording.close()
+        summary = {**self._recording.summary(), "lost": intake.lost(), "message_lost": intake.reported_lost()}
+        intake.close()
+        write_summary(self._config.summary_path, summary)
+        lines = report_lines(summary)
+        if started_by_launcher():  # which has the numbers in its own summary
+            lines = [line for line in lines if line.startswith("WARNING")]
+        for line in lines:
+            sys.stderr.write(f"{line}\n")
 
 
 def main(args: list[str] | None = None) -> None:

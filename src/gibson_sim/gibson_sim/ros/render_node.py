@@ -177,7 +177,7 @@ class RenderNode(Node):
     def _take(self, states: Sequence[SceneState]) -> None:
         assert self._scene is not None
         if self._last_done is None:
-            self._last_done = (0, -1)
+            self._last_done = (-1, -1)
             if self._lockstep is not None and self._lockstep.is_heard:
                 wait_for_readers(self)
         ours = [state for state in states if state.revision == self._scene.revision]
@@ -192,11 +192,11 @@ class RenderNode(Node):
         for i in due:
             if not wanted[i]:
                 self._stats.count_due(self._cameras[i].camera, 0, wanted=False)
-        if newest is not None and (newest.epoch, newest.step) != self._last_done:
+        if newest is not None and _when(newest) != self._last_done:
             self._draw(newest, {i: wanted[i] for i in newest.due_cameras if i in due})
         asked = next((state for state in reversed(ours) if state.due_cameras), None)
         if asked is not None and self._lockstep is not None:
-            self._last_done = (asked.epoch, asked.step)
+            self._last_done = _when(asked)
             self._lockstep.done(asked.header.stamp)
 
     def _note_foreign(self, states: Sequence[SceneState], ours: bool) -> None:
@@ -319,6 +319,11 @@ def take_waiting(subscription: Any) -> Iterator[Any]:
     with subscription.handle:
         while (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
             yield taken[0]
+
+
+def _when(state: SceneState) -> tuple[int, int]:
+    """Returns epoch and stamp: in lockstep, a state that comes twice has been drawn."""
+    return state.epoch, conversions.time_from_msg(state.header.stamp)
 
 
 class _Progress:

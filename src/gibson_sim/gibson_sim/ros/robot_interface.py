@@ -80,6 +80,7 @@ class RobotInterface:
                 (JointState, names.JOINT_COMMAND),
             )
         ]
+        self.truth_topic = self._resolved(names.GROUND_TRUTH)
         self.command_topics = frozenset(map(self._resolved, (names.CMD_VEL, names.JOINT_TRAJECTORY, names.JOINT_COMMAND)))
         self._stamped = stamped
         self._stamped_subscription = stamped.subscribe(TwistStamped, self._topic(names.CMD_VEL), self._commands)

@@ -357,8 +357,8 @@ class Simulator:
 
     @property
     def epoch_step(self) -> int:
-        """Steps since the epoch began."""
-        return 0 if self._world is None else self._world.step_count - self._epoch_start
+        """Steps since the epoch began; without a world, those that the last one made in it."""
+        return (self._steps_before if self._world is None else self._world.step_count) - self._epoch_start
 
     def _begin_epoch(self, reset: LastReset) -> None:
         self._epoch_start = 0 if self._world is None else self._world.step_count

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from gibson_sim.robots.drive_spec import AckermannSpec, DifferentialSpec, DriveSpec
 from gibson_sim.robots.drives.ackermann import AckermannDrive
-from gibson_sim.robots.drives.base import BaseServo, Drive, DriveJoint, DriveTargets, PlanarVelocity, active_command
+from gibson_sim.robots.drives.base import BaseServo, Drive, DriveJoint, DriveTargets, PlanarVelocity, Response, active_command
 from gibson_sim.robots.drives.differential import DifferentialDrive
 from gibson_sim.robots.drives.omni import OmniDrive
 
-__all__ = ["BaseServo", "Drive", "DriveJoint", "DriveTargets", "PlanarVelocity", "active_command", "make_drive"]
+__all__ = ["BaseServo", "Drive", "DriveJoint", "DriveTargets", "PlanarVelocity", "Response", "active_command", "make_drive"]
 
 
 def make_drive(spec: DriveSpec) -> Drive:

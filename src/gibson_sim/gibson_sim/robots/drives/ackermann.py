@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 
 from gibson_sim.robots.drive_spec import AckermannSpec
-from gibson_sim.robots.drives.base import Drive, DriveJoint, DriveTargets, PlanarVelocity, approach
+from gibson_sim.robots.drives.base import Drive, DriveJoint, DriveTargets, PlanarVelocity, Response, approach
 
 
 def steering_angles(curvature: float, car: AckermannSpec) -> tuple[float, float]:
@@ -58,13 +58,13 @@ class AckermannDrive(Drive):
                 DriveJoint(spec.right_steering_joint, spec.right_steering_sign, False),
             ),
             spec.max_steering_torque,
+            response=Response(spec.command_delay, spec.slip, spec.slip),
         )
         self._spec = spec
         self._steering = 0.0
         """Angle of a single front wheel in the middle, radians: what the limit of the rate counts."""
 
-    def targets(self, wanted: PlanarVelocity, dt: float) -> DriveTargets:
-        """Comes nearer to ``wanted`` and returns what the motors must do for it."""
+    def _follow(self, wanted: PlanarVelocity, dt: float) -> DriveTargets:
         car = self._spec
         speed, curvature = wanted_motion(wanted, car)
         if curvature is not None:
@@ -73,7 +73,11 @@ class AckermannDrive(Drive):
         linear = approach(self.velocity.linear, speed, car.max_linear, car.max_linear_acceleration * dt)
         now = math.tan(self._steering) / car.wheelbase
         self.velocity = PlanarVelocity(*self._arc(linear, now))
-        return DriveTargets(rear_speeds(linear, now, car), steering_angles(now, car))
+        return DriveTargets(rear_speeds(self._rolled.linear, now, car), steering_angles(now, car))
+
+    def encoder_turns(self, increments: Sequence[float]) -> Sequence[float]:
+        """Returns what the encoders see, without ``slip``."""
+        return increments if self._grip == 1.0 else [increment / self._grip for increment in increments]
 
     def travel(self, increments: Sequence[float], angles: Sequence[float]) -> tuple[float, float, float]:
         """Returns what the wheels say that the base did: forward, left (m), turn (rad)."""

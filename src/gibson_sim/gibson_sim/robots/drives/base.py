@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -55,12 +56,24 @@ class BaseServo(NamedTuple):
     """Metres from the base's origin to the wheels: lever of that force."""
 
 
+class Response(NamedTuple):
+    """How a drive falls short of what it is told, within its limits."""
+
+    delay: float = 0.0
+    """Seconds from a command to what the motors do about it."""
+    slip: float = 0.0
+    """Part of the way along the floor that the wheels roll and the base does not go."""
+    turn_slip: float = 0.0
+    """Part of the turn."""
+
+
 class Drive(ABC):
     """The drive of one robot: what its motors shall do, and where its wheels say that it is. Knows no engine."""
 
     def __init__(
         self, wheels: Sequence[DriveJoint], wheel_torque: float,
         steering: Sequence[DriveJoint] = (), steering_torque: float = 0.0, servo: BaseServo | None = None,
+        response: Response | None = None,
     ) -> None:  # fmt: skip
         """Sets what never changes.
 
@@ -70,17 +83,49 @@ class Drive(ABC):
             steering: Joints that are driven by position and whose angles odometry reads.
             steering_torque: N m, of each.
             servo: How the base is moved where its wheels do not move it.
+            response: Its delay and slip; None = it has none.
         """
         self.wheels, self.wheel_torque = tuple(wheels), wheel_torque
         self.steering, self.steering_torque = tuple(steering), steering_torque
         self.servo = servo
         self.velocity = PlanarVelocity()
-        """What the base was told last, within the limits."""
+        """What the base was told last, within the limits; with slip it is not what the base does."""
+        response = response or Response()
+        self._delay = CommandDelay(response.delay)
+        self._grip, self._turn_grip = 1.0 - response.slip, 1.0 - response.turn_slip
         self._path = DeadReckoning()
 
-    @abstractmethod
     def targets(self, wanted: PlanarVelocity, dt: float) -> DriveTargets:
-        """Comes nearer to ``wanted``, as far as the limits let it in ``dt`` seconds, and returns what the motors must do for it."""
+        """Comes nearer to what was wanted a delay ago, as far as the limits let it in ``dt`` seconds; returns what the motors must do.
+
+        Args:
+            wanted: What is wanted now.
+            dt: Seconds since the last call, always the same.
+        """
+        return self._follow(self._delay.pass_on(wanted, dt), dt)
+
+    @property
+    def base_velocity(self) -> PlanarVelocity:
+        """``velocity`` without what slip takes of it."""
+        linear, lateral, angular = self.velocity
+        return PlanarVelocity(linear * self._grip, lateral * self._grip, angular * self._turn_grip)
+
+    @property
+    def _rolled(self) -> PlanarVelocity:
+        """At what the wheels roll in the engine: wheels that push the base do not slip there, so they turn less instead."""
+        return self.velocity if self.servo else self.base_velocity
+
+    def encoder_turns(self, increments: Sequence[float]) -> Sequence[float]:
+        """Returns what the encoders of ``wheels`` see, radians: what wheels that slip do not turn in the engine is put back.
+
+        Args:
+            increments: Radians that each of them rolled forward in the engine.
+        """
+        return increments
+
+    @abstractmethod
+    def _follow(self, wanted: PlanarVelocity, dt: float) -> DriveTargets:
+        """Comes nearer to ``wanted`` and returns what the motors must do for it."""
 
     @abstractmethod
     def travel(self, increments: Sequence[float], angles: Sequence[float]) -> tuple[float, float, float]:
@@ -99,6 +144,22 @@ class Drive(ABC):
     def odometry(self) -> Odometry:
         """Where the wheels say that the base is: one that slips deceives them, as on a real robot."""
         return self._path.odometry
+
+
+class CommandDelay:
+    """Holds every wanted velocity back for a while; the base stands still until the first one comes out."""
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+        self._waiting: deque[PlanarVelocity] = deque()
+
+    def pass_on(self, wanted: PlanarVelocity, dt: float) -> PlanarVelocity:
+        """Takes in what is wanted at this step, of ``dt`` seconds, and returns what was wanted the delay before, in whole steps."""
+        steps = round(self._seconds / dt)
+        if steps < 1:
+            return wanted
+        self._waiting.append(wanted)
+        return self._waiting.popleft() if len(self._waiting) > steps else PlanarVelocity()
 
 
 class DeadReckoning:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from gibson_sim.robots.drive_spec import DifferentialSpec
-from gibson_sim.robots.drives.base import BaseServo, Drive, DriveJoint, DriveTargets, PlanarVelocity, approach
+from gibson_sim.robots.drives.base import BaseServo, Drive, DriveJoint, DriveTargets, PlanarVelocity, Response, approach
 
 
 def wheel_speeds(linear: float, angular: float, drive: DifferentialSpec) -> tuple[float, float]:
@@ -49,14 +49,24 @@ class DifferentialDrive(Drive):
         right = [DriveJoint(*item, False) for item in zip(spec.right_joints, spec.right_signs or ones, strict=True)]
         servo = BaseServo(spec.traction, spec.wheel_separation / 2) if spec.kind == "skid_steer" else None
         joints = [joint for pair in zip(left, right, strict=True) for joint in pair]
-        super().__init__(joints, spec.max_wheel_torque, servo=servo)
+        response = Response(spec.command_delay, spec.slip, spec.turn_slip)
+        super().__init__(joints, spec.max_wheel_torque, servo=servo, response=response)
         self._spec = spec
 
-    def targets(self, wanted: PlanarVelocity, dt: float) -> DriveTargets:
-        """Comes nearer to ``wanted`` and returns what the motors must do for it."""
+    def _follow(self, wanted: PlanarVelocity, dt: float) -> DriveTargets:
         self.velocity = limit_velocity(self.velocity, wanted, self._spec, dt)
-        left, right = wheel_speeds(self.velocity.linear, self.velocity.angular, self._spec)
+        left, right = wheel_speeds(self._rolled.linear, self._rolled.angular, self._spec)
         return DriveTargets((left, right) * len(self._spec.left_joints))
+
+    def encoder_turns(self, increments: Sequence[float]) -> Sequence[float]:
+        """Returns what the encoders see: both sides together without ``slip``, their difference without ``turn_slip``."""
+        if self.servo or self._grip == self._turn_grip == 1.0:
+            return increments
+        seen: list[float] = []
+        for left, right in zip(increments[::2], increments[1::2], strict=True):
+            mean, half = (left + right) / 2 / self._grip, (right - left) / 2 / self._turn_grip
+            seen += (mean - half, mean + half)
+        return seen
 
     def travel(self, increments: Sequence[float], angles: Sequence[float]) -> tuple[float, float, float]:
         """Returns what the wheels say that the base did: forward, left (m), turn (rad)."""

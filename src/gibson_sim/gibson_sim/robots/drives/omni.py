@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gibson_sim.robots.drive_spec import OmniSpec
-from gibson_sim.robots.drives.base import BaseServo, Drive, DriveJoint, DriveTargets, PlanarVelocity, approach
+from gibson_sim.robots.drives.base import BaseServo, Drive, DriveJoint, DriveTargets, PlanarVelocity, Response, approach
 
 
 class OmniDrive(Drive):
@@ -17,14 +17,14 @@ class OmniDrive(Drive):
     def __init__(self, spec: OmniSpec) -> None:
         reach = sum(math.hypot(*wheel.position) for wheel in spec.wheels) / len(spec.wheels)
         joints = [DriveJoint(wheel.joint, is_left=wheel.position[1] > 0.0) for wheel in spec.wheels]
-        super().__init__(joints, spec.max_wheel_torque, servo=BaseServo(spec.traction, reach))
+        response = Response(spec.command_delay, spec.slip, spec.turn_slip)
+        super().__init__(joints, spec.max_wheel_torque, servo=BaseServo(spec.traction, reach), response=response)
         self._spec = spec
         matrix = spec.wheel_matrix()
         self._wheels_from_body = [tuple(row) for row in matrix.tolist()]
         self._body_from_wheels = [tuple(row) for row in np.linalg.pinv(matrix).tolist()]
 
-    def targets(self, wanted: PlanarVelocity, dt: float) -> DriveTargets:
-        """Comes nearer to ``wanted`` and returns what the motors must do for it."""
+    def _follow(self, wanted: PlanarVelocity, dt: float) -> DriveTargets:
         now, limits = self.velocity, self._spec
         self.velocity = PlanarVelocity(
             approach(now.linear, wanted.linear, limits.max_linear, limits.max_linear_acceleration * dt),

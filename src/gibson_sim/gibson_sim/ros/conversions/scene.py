@@ -277,7 +277,7 @@ def scene_state_from_msg(msg: RosSceneState, links: tuple[str, ...]) -> SceneSta
         ConfigError: the arrays do not have as many rows as there are links.
     """
     poses = np.array(msg.poses, dtype=np.float64).reshape(-1, 7)
-    twists = np.array(msg.twists, dtype=np.float64).reshape(-1, 6) if msg.twists else np.zeros((len(poses), 6))
+    twists = np.array(msg.twists, dtype=np.float64).reshape(-1, 6) if len(msg.twists) else np.zeros((len(poses), 6))
     return SceneState(
         stamp_ns=time_from_msg(msg.header.stamp),
         step=msg.step,

@@ -1,0 +1,251 @@
+"""Odometry against the truth: scales, relative errors over distances and turns, errors that add up at random. Pure."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from gibson_sim.bags.comparison.recording import F64, Track
+
+LENGTHS = (1.0, 2.0, 5.0, 10.0)
+"""Metres of path over which relative errors are looked at."""
+_STUCK, _STUCK_TURN = 0.05, 0.1
+"""Metres and radians a second."""
+_LEAST_PATH, _LEAST_TURN = 1.0, math.radians(90.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Scales:
+    """Motion by the wheels = these times the true motion, over pieces of a second, but for those that stand out."""
+
+    forward: float
+    """NaN where the robot went less than 1 m."""
+    turn: float
+    """NaN where it turned less than 90 degrees."""
+    veer: float
+    """rad/m: turn that the wheels tell on top, for each true metre forward."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """How far odometry leaves the truth."""
+
+    path_m: float
+    turned_rad: float
+    scales: Scales
+    end_error_m: float
+    """Where odometry says that the robot ended, seen from its start, against where it did."""
+    end_error_rad: float
+    error_per_m: dict[float, float]
+    """Length of a piece of path -> mean error of its end over its length, m/m."""
+    turn_per_m: float
+    """rad/m: mean error of the heading over pieces of the shortest length, over that length."""
+    turn_per_rad: float
+    """Mean error of the heading over the angle turned, in quarters of a turn; NaN where it turned less."""
+    stuck_s: float = 0.0
+    """Seconds in which wheels and truth disagree by far: the robot was stuck, pushed, or its truth was wrong."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alphas:
+    """Errors at random: those of ``WheelOdometrySpec``, and the standard deviation of each estimate as a part of it."""
+
+    alpha1: float
+    alpha2: float
+    alpha3: float
+    alpha4: float
+    uncertainty: float
+    """Of the standard deviations; 0.1 needs about 50 independent metres and radians."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pieces:
+    """Motions over pieces of time, by the wheels and in truth, in the frame of the base at the begin of each."""
+
+    begin: F64
+    """(K,), seconds."""
+    forward: F64
+    turn: F64
+    """(K,), by the wheels, m and rad."""
+    true_forward: F64
+    true_turn: F64
+    path: F64
+    """(K,), metres of true path, forward or backward."""
+    swept: F64
+    """(K,), radians turned in truth, to either side."""
+
+
+def common(odometry: Track, truth: Track) -> tuple[F64, Track, Track] | None:
+    """Returns the times of the truth within both, and both tracks there; None = they do not overlap."""
+    t = truth.t[(truth.t >= odometry.t[0]) & (truth.t <= odometry.t[-1])]
+    if len(t) < 3:
+        return None
+    x, y, yaw = odometry.at(t)
+    nothing = np.full(len(t), np.nan)
+    kept = np.searchsorted(truth.t, t)
+    true = Track(t, truth.x[kept], truth.y[kept], truth.yaw[kept], nothing, nothing)
+    return t, Track(t, x, y, yaw, nothing, nothing), true
+
+
+def cut_pieces(odometry: Track, truth: Track, seconds: float = 1.0) -> Pieces | None:
+    """Returns the motions over consecutive pieces of time; None = there is no common time."""
+    found = common(odometry, truth)
+    if found is None:
+        return None
+    t, odom, true = found
+    rows = np.searchsorted(t, np.arange(t[0], t[-1] + 1e-9, seconds))
+    rows = np.unique(np.minimum(rows, len(t) - 1))
+    a, b = rows[:-1], rows[1:]
+    steps = np.concatenate([[0.0], np.cumsum(np.abs(_advances(true)))])
+    sweeps = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(true.yaw)))])
+    ways = [np.concatenate([[0.0], np.cumsum(_advances(track))]) for track in (odom, true)]
+    return Pieces(
+        t[a], ways[0][b] - ways[0][a], odom.yaw[b] - odom.yaw[a], ways[1][b] - ways[1][a], true.yaw[b] - true.yaw[a],
+        steps[b] - steps[a], sweeps[b] - sweeps[a],
+    )  # fmt: skip
+
+
+def _advances(track: Track) -> F64:
+    """Returns the signed way forward of every step, (N - 1,)."""
+    yaw = (track.yaw[1:] + track.yaw[:-1]) / 2
+    return np.diff(track.x) * np.cos(yaw) + np.diff(track.y) * np.sin(yaw)
+
+
+def scales(pieces: Pieces) -> Scales:
+    """Returns how the wheels' motion relates to the true one; pieces at which the robot was stuck or pushed do not count."""
+    forward = turn = math.nan
+    veer = 0.0
+    goes, turns = pieces.path.sum() >= _LEAST_PATH, pieces.swept.sum() >= _LEAST_TURN
+    moving = (pieces.path > 0.01) | (pieces.swept > 0.02) | (np.abs(pieces.forward) > 0.01) | (np.abs(pieces.turn) > 0.02)
+    way, angle = pieces.true_forward[moving], pieces.true_turn[moving]
+    if goes:
+        forward = float(_robust(way[:, None], pieces.forward[moving])[0])
+    if turns and goes:
+        turn, veer = _robust(np.stack([angle, way], axis=1), pieces.turn[moving]).tolist()
+    elif turns:
+        turn = float(_robust(angle[:, None], pieces.turn[moving])[0])
+    elif goes:
+        veer = float(_robust(way[:, None], pieces.turn[moving] - angle)[0])
+    return Scales(forward, turn, veer)
+
+
+def _robust(columns: F64, target: F64) -> F64:
+    """Returns the coefficients, (C,), of columns (K, C) that add up to ``target`` (K,), by weights of Huber, then of Tukey.
+
+    See P. J. Huber, "Robust Statistics" (1981): least squares again and again, where large residuals count less (Tukey: not at all).
+    """
+    weights: F64 = np.ones(len(target))
+    found: F64 = np.zeros(columns.shape[1])
+    for turn in range(30):
+        root = np.sqrt(weights)
+        found = np.asarray(np.linalg.lstsq(columns * root[:, None], target * root, rcond=None)[0], dtype=np.float64)
+        residuals = np.abs(target - columns @ found)
+        spread = 1.4826 * float(np.median(residuals)) + 1e-6
+        if turn < 10:
+            weights = 1.0 / np.maximum(1.0, residuals / (1.345 * spread))
+        else:
+            weights = np.maximum(1.0 - (residuals / (4.685 * spread)) ** 2, 0.0) ** 2
+    return found
+
+
+def drift(odometry: Track, truth: Track) -> Drift | None:
+    """Returns how far odometry leaves the truth; None = they have no time in common, or nothing moved."""
+    pieces, found = cut_pieces(odometry, truth), common(odometry, truth)
+    if pieces is None or found is None:
+        return None
+    _, odom, true = found
+    path = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(true.x), np.diff(true.y)))])
+    swept = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(true.yaw)))])
+    if path[-1] < 0.1 and swept[-1] < 0.1:
+        return None
+    by_length, turn_per_m = {}, math.nan
+    for length in LENGTHS:
+        errors, turns = _relative_errors(odom, true, path, length)
+        if len(errors):
+            by_length[length] = float(errors.mean()) / length
+            if math.isnan(turn_per_m):
+                turn_per_m = float(turns.mean()) / length
+    quarter = math.pi / 2
+    _, turns = _relative_errors(odom, true, swept, quarter)
+    end = _relative(odom, true, np.array([0]), np.array([len(path) - 1]))
+    return Drift(
+        float(path[-1]), float(swept[-1]), scales(pieces), float(end[0][0]), float(end[1][0]), by_length, turn_per_m,
+        float(turns.mean()) / quarter if len(turns) else math.nan, _stuck(pieces, scales(pieces)),
+    )  # fmt: skip
+
+
+def _stuck(pieces: Pieces, of: Scales) -> float:
+    """Returns the seconds of pieces whose motions differ by 5 cm or 0.1 rad from what the scales explain."""
+    forward, turn = (1.0 if math.isnan(scale) else scale for scale in (of.forward, of.turn))
+    far = np.abs(pieces.forward - forward * pieces.true_forward) > _STUCK
+    far |= np.abs(pieces.turn - turn * pieces.true_turn - of.veer * pieces.true_forward) > _STUCK_TURN
+    return float(far.sum()) * float(np.median(np.diff(pieces.begin))) if len(pieces.begin) > 1 else 0.0
+
+
+def _relative_errors(odom: Track, true: Track, way: F64, length: float) -> tuple[F64, F64]:
+    """Returns errors (m, rad) at the ends of all pieces of ``length`` of the way, starting at every tenth of it."""
+    starts = np.unique(np.searchsorted(way, np.arange(0.0, way[-1] - length, length / 10)))
+    ends = np.searchsorted(way, way[starts] + length)
+    kept = ends < len(way)
+    return _relative(odom, true, starts[kept], ends[kept])
+
+
+def _relative(odom: Track, true: Track, a: NDArray[np.intp], b: NDArray[np.intp]) -> tuple[F64, F64]:
+    """Returns (position error m, heading error rad), each (K,), of the motions from poses ``a`` to poses ``b``."""
+    ends = []
+    for track in (odom, true):
+        dx, dy = track.x[b] - track.x[a], track.y[b] - track.y[a]
+        cos, sin = np.cos(track.yaw[a]), np.sin(track.yaw[a])
+        ends.append((dx * cos + dy * sin, dy * cos - dx * sin, track.yaw[b] - track.yaw[a]))
+    (x, y, yaw), (true_x, true_y, true_yaw) = ends
+    return np.hypot(x - true_x, y - true_y), np.abs(yaw - true_yaw)
+
+
+def slip_variance(amount: F64) -> F64:
+    """Returns the variance of an error over a motion of ``amount`` units, where each unit has an error of its own of variance 1.
+
+    The units begin anywhere, so a piece of one unit holds parts of two: d^2 - d^3/3 up to one unit, d - 1/3 beyond.
+    """
+    return np.where(amount <= 1.0, amount**2 - amount**3 / 3.0, amount - 1.0 / 3.0)
+
+
+def fit_alphas(odometry: Track, truth: Track, seconds: float = 4.0) -> Alphas | None:
+    """Returns the random errors of odometry, by maximum likelihood; None = less than 20 m and 20 rad, or no truth.
+
+    Args:
+        odometry: By the wheels.
+        truth: Must be far better than odometry: its own errors count as the wheels'.
+        seconds: Length of the pieces, whose errors are taken to be independent.
+    """
+    pieces = cut_pieces(odometry, truth, seconds)
+    if pieces is None or pieces.path.sum() < 20.0 or pieces.swept.sum() < 20.0:
+        return None
+    of = scales(pieces)
+    turn_error = pieces.turn - of.turn * pieces.true_turn - of.veer * pieces.true_forward
+    forward_error = pieces.forward - of.forward * pieces.true_forward
+    by_path, by_turn = slip_variance(pieces.path), slip_variance(pieces.swept)
+    alpha1, alpha2 = _likeliest(turn_error, by_turn, by_path)
+    alpha4, alpha3 = _likeliest(forward_error, by_turn, by_path)
+    independent = min(float(pieces.path.sum()), float(pieces.swept.sum()), float(len(pieces.path)))
+    return Alphas(alpha1, alpha2, alpha3, alpha4, 1.0 / math.sqrt(2.0 * independent))
+
+
+def _likeliest(error: F64, a: F64, b: F64) -> tuple[float, float]:
+    """Returns (p, q), each 0 or more, of errors (K,) whose variances are p a + q b."""
+    moved = (a + b) > 1e-3
+    error, a, b = error[moved], a[moved], b[moved]
+    floor = 1e-12
+
+    def cost(logs: F64) -> float:
+        variance = np.exp(logs[0]) * a + np.exp(logs[1]) * b + floor
+        return float(np.sum(np.log(variance) + error**2 / variance))
+
+    start = math.log(max(float(np.sum(error**2)) / max(float(np.sum(a + b)), 1e-9), 1e-11))
+    found = minimize(cost, [start, start], method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-6})
+    p, q = (float(value) for value in np.exp(found.x))
+    # Below this the data cannot tell it from none.
+    return (p if p > 1e-3 * q else 0.0), (q if q > 1e-3 * p else 0.0)

@@ -1,0 +1,130 @@
+"""Finds the resolution of wheel encoders in the velocities that odometry tells. Pure.
+
+An encoder counts whole ticks, so the speed of a wheel, taken over one step, is a multiple of one number. That number is looked for as
+the period of the speeds. Odometry that was averaged shows no such steps: then its noise is matched by that of the simulator's odometry.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from gibson_sim.bags.comparison.drive_model import counted_velocities, wheel_rows, with_limits
+from gibson_sim.bags.comparison.identify import DriveFit
+from gibson_sim.bags.comparison.recording import F64, Track
+from gibson_sim.bags.comparison.signals import speeds
+from gibson_sim.robots.drive_spec import AckermannSpec, DriveSpec
+from gibson_sim.robots.sensor_specs import WheelOdometrySpec
+
+_MOST_TICKS, _LEAST_TICKS = 200_000, 16
+_SETTLE_S = 0.3
+_LEAST_NOISE = 2e-4
+"""m/s: odometry with less noise is exact."""
+_CLEAR = 0.9
+"""How much of the speeds must have one phase for a period to be one; 1 = all."""
+_MOST_STEPS = 60.0
+"""Periods in the fastest speed: beyond, the gains are not known well enough to tell their phase."""
+
+
+def fit_ticks(spec: DriveSpec, fit: DriveFit, odometry: Track, *, step_hz: int = 240) -> int | None:
+    """Returns the ticks a turn with which simulated odometry is as coarse as the recorded one; None = it is exact, or never even.
+
+    A car's steering has encoders too, which are not modelled: None for it.
+
+    Args:
+        spec: The drive.
+        fit: Of the recording.
+        odometry: The recording's.
+        step_hz: Steps a second of the simulation that the ticks are for.
+    """
+    if isinstance(spec, AckermannSpec):
+        return None
+    measured = odometry_noise(fit, odometry)
+    if measured is None or measured[0] < _LEAST_NOISE:
+        return None
+    gains = [1.0 if gain is None else gain.value for gain in (fit.linear_gain, fit.angular_gain)]
+    linear, angular = speeds(odometry)
+    wheels = (np.stack([linear / gains[0], angular / gains[1]], axis=1) @ wheel_rows(spec).T).reshape(-1)
+    step = common_step(wheels, 2.0 * math.pi * step_hz / _MOST_TICKS, 2.0 * math.pi * step_hz / _LEAST_TICKS)
+    if step is not None:
+        return round(2.0 * math.pi * step_hz / step)
+    return _fit_by_noise(spec, fit, measured[0], gains, step_hz)
+
+
+def common_step(values: F64, least: float, most: float) -> float | None:
+    """Returns the largest number of which all of ``values`` (N,) are multiples, but for small errors; None = there is none.
+
+    Args:
+        values: In any unit; those near 0 say nothing.
+        least: Smallest number that is looked for.
+        most: Largest one.
+    """
+    largest = float(np.abs(values).max(initial=0.0))
+    moving = values[np.abs(values) > 0.05 * largest]
+    least, most = max(least, largest / _MOST_STEPS), min(most, largest)
+    if len(moving) < 50 or least >= most:
+        return None
+    # Neighbours on the grid differ by a tenth of a turn at the largest value.
+    turns = np.arange(largest / most, largest / least, 0.1)
+    clear = np.array([abs(np.mean(np.exp(2j * np.pi * moving * (turn / largest)))) for turn in turns])
+    found = np.flatnonzero(clear > _CLEAR * max(_CLEAR, float(clear.max())))
+    if not len(found) or float(clear.max()) < _CLEAR:
+        return None
+    first = int(found[0])
+    near = np.linspace(turns[first] - 0.15, turns[first] + 0.25, 81)
+    best = near[int(np.argmax([abs(np.mean(np.exp(2j * np.pi * moving * (turn / largest)))) for turn in near]))]
+    return largest / float(best)
+
+
+def odometry_noise(fit: DriveFit, odometry: Track) -> tuple[float, float] | None:
+    """Returns what is left of (forward speed m/s, yaw rate rad/s) while the model moves evenly, standard deviations; None = it never does.
+
+    The mean of each even stretch is taken out: what is left is noise, not a wrong model.
+    """
+    linear, angular = speeds(odometry)
+    even = _even(fit)
+    groups = np.split(np.flatnonzero(even), np.flatnonzero(np.diff(np.flatnonzero(even)) > 1) + 1) if even.any() else []
+    squares, freedom = np.zeros(2), 0
+    for rows in groups:
+        if len(rows) >= 8:
+            for axis, values in enumerate((linear[rows], angular[rows])):
+                squares[axis] += float(np.sum((values - values.mean()) ** 2))
+            freedom += len(rows) - 1
+    if freedom < 30:
+        return None
+    first, second = np.sqrt(squares / freedom).tolist()
+    return first, second
+
+
+def _even(fit: DriveFit) -> NDArray[np.bool_]:
+    """Returns where the model neither stands nor has changed its speed for a moment, (N,)."""
+    change = np.abs(np.gradient(fit.linear, fit.t)) * 0.2 + np.abs(np.gradient(fit.angular, fit.t)) * 0.05 > 1e-4
+    last = np.maximum.accumulate(np.where(change, fit.t, -np.inf))
+    return (fit.t - last > _SETTLE_S) & ~change & (np.abs(fit.linear) + np.abs(fit.angular) > 0.02)
+
+
+def _fit_by_noise(spec: DriveSpec, fit: DriveFit, measured: float, gains: list[float], step_hz: int) -> int | None:
+    """Returns the ticks a turn at which simulated odometry has the ``measured`` noise, m/s; None = with none it has."""
+    begin, end = float(fit.t[0]), float(fit.t[-1])
+    t = begin + np.arange(round((end - begin) * step_hz)) / step_hz
+    even = np.interp(t, fit.t, _even(fit).astype(np.float64)) > 0.0
+    linear = np.where(even, np.interp(t, fit.t, fit.linear) / gains[0], 0.0)
+    angular = np.where(even, np.interp(t, fit.t, fit.angular) / gains[1], 0.0)
+    free = with_limits(spec, 1e9, 1e9)
+    stamps = np.rint((fit.t - begin) * step_hz).astype(int) - 1
+
+    def noise(log_ticks: float) -> float:
+        errors = WheelOdometrySpec(encoder_ticks=round(math.exp(log_ticks)))
+        counted = counted_velocities(free, errors, linear, angular, step_hz)
+        rows = np.clip(stamps, 0, len(t) - 1)
+        simulated = Track(fit.t, fit.t, fit.t, fit.t, counted[0][rows] * gains[0], counted[1][rows] * gains[1])
+        found = odometry_noise(fit, simulated)
+        return -12.0 if found is None else math.log(max(found[0], 1e-9)) - math.log(measured)
+
+    low, high = math.log(_LEAST_TICKS), math.log(_MOST_TICKS)
+    if noise(high) > 0.0 or noise(low) < 0.0:
+        return None
+    return round(math.exp(float(brentq(noise, low, high, xtol=5e-3))))

@@ -1,0 +1,168 @@
+"""Finds delay, acceleration limits and gains of a drive by fitting the simulator's own model of it to commands and odometry. Pure.
+
+The model is that of ``robots.drives``: a command waits, then the base's velocity approaches it at a limited rate; odometry tells a part
+of that velocity. Delay and gain do not change what happens before them, so they are applied to the model's output, and only
+limits need the drive to be stepped anew.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from gibson_sim.bags.comparison.drive_model import limited_velocities, wanted_velocities, with_limits
+from gibson_sim.bags.comparison.recording import F64, Commands, Track
+from gibson_sim.bags.comparison.signals import speeds
+from gibson_sim.robots.drive_spec import AckermannSpec, DriveSpec
+
+LEAST_LINEAR, LEAST_ANGULAR = 0.05, 0.1
+"""m/s and rad/s: commands that change by less teach nothing."""
+_MODEL_HZ = 120
+_LONGEST_DELAY = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A number, and its standard deviation as far as the fit knows it."""
+
+    value: float
+    deviation: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveFit:
+    """How a drive answers; None = the recording cannot tell."""
+
+    delay: Estimate
+    """Seconds from the recorded command to odometry."""
+    linear_acceleration: Estimate | None
+    """m/s^2, in the unit of commands."""
+    angular_acceleration: Estimate | None
+    """rad/s^2."""
+    linear_gain: Estimate | None
+    """Forward speed by odometry over the one commanded."""
+    angular_gain: Estimate | None
+    linear_rms: float
+    """m/s: what the model does not explain."""
+    angular_rms: float
+    """rad/s."""
+    t: F64
+    """(N,), seconds: times of odometry."""
+    linear: F64
+    """(N,), m/s: the model."""
+    angular: F64
+
+
+def fit_drive(spec: DriveSpec, commands: Commands, odometry: Track, *, timeout: float = 0.5) -> DriveFit | None:
+    """Returns the drive that explains the recording best; None = nothing was commanded that could tell.
+
+    Args:
+        spec: The kind of drive and its greatest speeds; its acceleration limits, delay and slip are not used.
+        commands: As recorded.
+        odometry: By the wheels.
+        timeout: Seconds after which a command no longer counts.
+    """
+    problem = _Problem(spec, commands, odometry, timeout)
+    if not (problem.tells_linear or problem.tells_angular):
+        return None
+    return problem.solve()
+
+
+class _Problem:
+    """Residuals of the model over delay, two limits and two gains."""
+
+    def __init__(self, spec: DriveSpec, commands: Commands, odometry: Track, timeout: float) -> None:
+        self._t, (self._linear, self._angular) = odometry.t, speeds(odometry)
+        # A robot that is seen to go faster than the file says can do so.
+        fastest, fastest_turn = (1.05 * float(np.abs(values).max(initial=0.0)) for values in (self._linear, self._angular))
+        self._spec = replace(spec, max_linear=max(spec.max_linear, fastest), max_angular=max(spec.max_angular, fastest_turn))
+        begin, end = max(commands.t[0], odometry.t[0]) - 0.5, odometry.t[-1]
+        self._grid, wanted_linear, wanted_angular = wanted_velocities(commands, begin, end, _MODEL_HZ, timeout)
+        self._wanted = wanted_linear, wanted_angular
+        self.tells_linear = len(self._grid) > 0 and float(np.ptp(wanted_linear)) >= LEAST_LINEAR
+        self.tells_angular = len(self._grid) > 0 and float(np.ptp(wanted_angular)) >= LEAST_ANGULAR
+        self._within = (self._t >= begin + 0.5) & (self._t <= end)
+        if len(self._grid):
+            asked = np.abs(np.interp(self._t, self._grid, wanted_linear)) + np.abs(np.interp(self._t, self._grid, wanted_angular))
+            self._within &= (asked > 0) | (np.abs(self._linear) > 0.01) | (np.abs(self._angular) > 0.02)
+        self._scale = (max(float(np.std(self._linear)), 1e-3), max(float(np.std(self._angular)), 1e-3))
+        self._run = lru_cache(maxsize=16)(self._simulate)
+
+    def _simulate(self, linear: float, angular: float) -> tuple[F64, F64]:
+        return limited_velocities(with_limits(self._spec, linear, angular), *self._wanted, 1.0 / _MODEL_HZ)
+
+    def _model(self, p: NDArray[np.float64], t: F64) -> tuple[F64, F64]:
+        """Returns the velocities of the model at ``t``; p: delay, log limits, gains."""
+        linear, angular = self._run(math.exp(p[1]), math.exp(p[2]))
+        # The velocity of a step stands at its end.
+        grid = self._grid + 1.0 / _MODEL_HZ + p[0]
+        return p[3] * np.interp(t, grid, linear), p[4] * np.interp(t, grid, angular)
+
+    def _residuals(self, p: NDArray[np.float64]) -> F64:
+        t = self._t[self._within]
+        linear, angular = self._model(p, t)
+        parts = []
+        if self.tells_linear:
+            parts.append((linear - self._linear[self._within]) / self._scale[0])
+        if self.tells_angular:
+            parts.append((angular - self._angular[self._within]) / self._scale[1])
+        return np.concatenate(parts)
+
+    def _start(self) -> NDArray[np.float64]:
+        """Returns the best of a coarse grid, since a late delay and a slow ramp look alike from afar."""
+        limits = (0.3, 0.6, 1.2, 2.5, 6.0)
+        grid = [
+            np.array([delay, math.log(limit), math.log(3.0 * limit), 1.0, 1.0])
+            for limit in limits
+            for delay in (0.02, 0.06, 0.12, 0.2, 0.3, 0.5)
+        ]
+        return min(grid, key=lambda p: float(np.abs(self._residuals(p)).sum()))
+
+    def solve(self) -> DriveFit:
+        """Returns the best fit."""
+        low, high = [0.0, math.log(0.02), math.log(0.05), 0.2, 0.2], [_LONGEST_DELAY, math.log(50.0), math.log(200.0), 3.0, 3.0]
+        best = least_squares(
+            self._residuals, self._start(), bounds=(low, high), x_scale=[0.02, 0.2, 0.2, 0.05, 0.05], diff_step=1e-4,
+            loss="soft_l1", f_scale=0.3, max_nfev=60,
+        )  # fmt: skip
+        deviations = _deviations(best.jac, best.fun)
+        delay, log_linear, log_angular, linear_gain, angular_gain = (float(value) for value in best.x)
+        linear, angular = self._model(best.x, self._t)
+        is_car = isinstance(self._spec, AckermannSpec)
+
+        def limit(log: float, row: int, told: bool) -> Estimate | None:
+            # A ramp that no limit is seen in, since it is over within a sample, has no limit.
+            known = told and deviations[row] < 0.3 and low[row] + 0.01 < log < high[row] - 0.01
+            return Estimate(math.exp(log), math.exp(log) * deviations[row]) if known else None
+
+        return DriveFit(
+            delay=Estimate(delay, deviations[0]),
+            linear_acceleration=limit(log_linear, 1, self.tells_linear),
+            angular_acceleration=None if is_car else limit(log_angular, 2, self.tells_angular),
+            linear_gain=Estimate(linear_gain, deviations[3]) if self.tells_linear else None,
+            angular_gain=Estimate(angular_gain, deviations[4]) if self.tells_angular else None,
+            linear_rms=_rms((linear - self._linear)[self._within]),
+            angular_rms=_rms((angular - self._angular)[self._within]),
+            t=self._t,
+            linear=linear,
+            angular=angular,
+        )
+
+
+def _deviations(jacobian: F64, residuals: F64) -> list[float]:
+    """Returns the standard deviation of each parameter, infinite where the data say nothing of it."""
+    variance = float(residuals @ residuals) / max(len(residuals) - jacobian.shape[1], 1)
+    norms = np.linalg.norm(jacobian, axis=0)
+    known = norms > 1e-6 * max(float(norms.max()), 1e-12)
+    out = np.full(jacobian.shape[1], np.inf)
+    out[known] = np.sqrt(np.maximum(np.diag(np.linalg.pinv(jacobian[:, known].T @ jacobian[:, known])) * variance, 0.0))
+    return [float(value) for value in out]
+
+
+def _rms(values: F64) -> float:
+    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0

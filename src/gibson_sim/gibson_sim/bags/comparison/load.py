@@ -1,0 +1,289 @@
+"""Takes out of a bag what is compared. A real robot's bag knows nothing of our messages; the types come with the bag."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.bags.comparison import topics as roles
+from gibson_sim.bags.comparison.pictures import picture_statistics, thumbnail
+from gibson_sim.bags.comparison.recording import (
+    F64,
+    NS_PER_S,
+    Arrivals,
+    Commands,
+    ImuSamples,
+    OccupancyMap,
+    Pictures,
+    Recording,
+    Scans,
+    Track,
+)
+from gibson_sim.bags.comparison.timing import SAME_CLOCK_S
+from gibson_sim.bags.reader import BagReader, TopicInfo, header_stamp_ns, image_to_array, stamp_ns
+from gibson_sim.errors import RecordError
+from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, yaw_from_quat
+from gibson_sim.types import Pose
+
+MOST_PICTURES = 200
+"""Images are taken evenly over the recording, no more than these."""
+MOST_SCANS = 3000
+_OCCUPIED = 65
+"""Cells of an occupancy grid from here on are walls."""
+_OPTIONAL_MAP = "map"
+
+
+def load_recording(folder: Path, given: Mapping[str, str] | None = None) -> Recording:
+    """Returns what a bag holds.
+
+    Args:
+        folder: Of the bag.
+        given: Role -> topic, where the usual names do not hold.
+
+    Raises:
+        RecordError: the bag cannot be read.
+        ConfigError: a topic that is given is not there or of another type.
+    """
+    with BagReader(folder) as bag:
+        infos = bag.topics()
+        found = roles.find_topics(infos, given or {}, str(folder))
+        reading = _Reading(bag, infos, found)
+        reading.read()
+        return reading.recording(folder)
+
+
+class _Reading:
+    """One pass over a bag."""
+
+    def __init__(self, bag: BagReader, infos: Mapping[str, TopicInfo], found: dict[str, str]) -> None:
+        self._bag, self._infos, self._found = bag, infos, found
+        self._rows: dict[str, list[Any]] = {role: [] for role in found}
+        self._log: dict[str, list[int]] = {topic: [] for topic in infos}
+        self._stamps: dict[str, list[int]] = {topic: [] for topic in infos}
+        self._fixed: dict[str, tuple[str, Mat4]] = {}
+        """Child frame -> (parent frame, T_parent_child)."""
+        self._map_from_odom: list[tuple[int, float, float, float]] = []
+        self._frames: dict[str, str] = {}
+        self.notes: list[str] = []
+        self._strides = {
+            role: max(1, -(-infos[found[role]].count // most))
+            for role, most in (("image", MOST_PICTURES), ("scan", MOST_SCANS))
+            if role in found
+        }
+        self._seen = dict.fromkeys(self._strides, 0)
+
+    def read(self) -> None:
+        """Reads all messages once; decodes those of the roles alone."""
+        role_of = {topic: role for role, topic in self._found.items()}
+        readers = {
+            "cmd_vel": self._command, "odom": self._odometry, "truth": self._truth, "imu": self._imu, "scan": self._scan,
+            "map": self._map, "image": self._image,
+        }  # fmt: skip
+        for topic, log_ns, data in self._bag.raw_messages():
+            info = self._infos[topic]
+            self._log[topic].append(log_ns)
+            if info.stamped:
+                self._stamps[topic].append(stamp_ns(data))
+            role = role_of.get(topic)
+            if role in self._strides:
+                self._seen[role] += 1
+                if (self._seen[role] - 1) % self._strides[role]:
+                    continue
+            if role is not None:
+                readers[role](log_ns, self._bag.decode(info.type_name, data))
+            elif info.type_name == roles.TF and topic.rpartition("/")[2] in ("tf", "tf_static"):
+                self._transforms(self._bag.decode(info.type_name, data), topic.endswith("tf_static"))
+
+    def _command(self, log_ns: int, msg: Any) -> None:
+        twist = getattr(msg, "twist", msg)
+        self._rows["cmd_vel"].append((log_ns, twist.linear.x, twist.angular.z))
+
+    def _odometry(self, log_ns: int, msg: Any) -> None:
+        self._frames.setdefault("base", msg.child_frame_id)
+        self._rows["odom"].append(_planar(msg.header.stamp, msg.pose.pose, msg.twist.twist))
+
+    def _truth(self, log_ns: int, msg: Any) -> None:
+        pose, twist = msg.pose, getattr(msg, "twist", None)
+        pose = getattr(pose, "pose", pose)
+        self._frames.setdefault("truth", msg.header.frame_id)
+        self._rows["truth"].append(_planar(msg.header.stamp, pose, None if twist is None else twist.twist))
+
+    def _imu(self, log_ns: int, msg: Any) -> None:
+        w, a = msg.angular_velocity, msg.linear_acceleration
+        self._rows["imu"].append((header_stamp_ns(msg.header.stamp), w.x, w.y, w.z, a.x, a.y, a.z))
+
+    def _scan(self, log_ns: int, msg: Any) -> None:
+        self._frames.setdefault("scan", msg.header.frame_id)
+        self._rows["scan"].append((header_stamp_ns(msg.header.stamp), msg))
+
+    def _map(self, log_ns: int, msg: Any) -> None:
+        info = msg.info
+        occupied = np.asarray(msg.data, dtype=np.int16).reshape(info.height, info.width) >= _OCCUPIED
+        origin = (float(info.origin.position.x), float(info.origin.position.y))
+        self._rows["map"] = [OccupancyMap(occupied, float(info.resolution), origin)]
+
+    def _image(self, log_ns: int, msg: Any) -> None:
+        rgb = _rgb(msg)
+        if rgb is not None:
+            self._rows["image"].append((header_stamp_ns(msg.header.stamp), *picture_statistics(rgb), thumbnail(rgb)))
+
+    def _transforms(self, msg: Any, fixed: bool) -> None:
+        for one in msg.transforms:
+            parent, child = one.header.frame_id.lstrip("/"), one.child_frame_id.lstrip("/")
+            t, q = one.transform.translation, one.transform.rotation
+            if fixed:
+                self._fixed[child] = (parent, matrix_from_pose(Pose((t.x, t.y, t.z), (q.x, q.y, q.z, q.w))))
+            elif child.rpartition("/")[2] == "odom" and parent.rpartition("/")[2] == "map":
+                yaw = yaw_from_quat((q.x, q.y, q.z, q.w))
+                self._map_from_odom.append((header_stamp_ns(one.header.stamp), t.x, t.y, yaw))
+
+    def recording(self, folder: Path) -> Recording:
+        """Returns what was read."""
+        begin = min((times[0] for times in [*self._log.values(), *self._stamps.values()] if times), default=0)
+        stamps = [row[0] for role in ("odom", "truth", "imu", "scan") for row in self._rows.get(role, ())]
+        if stamps:
+            begin = min(stamps)
+        log_end = max((times[-1] for times in self._log.values() if times), default=begin)
+        log_begin = min((times[0] for times in self._log.values() if times), default=begin)
+        odometry = self._track("odom", begin)
+        truth = self._track("truth", begin) or self._truth_from_tf(odometry, begin)
+        for role in roles.ROLES:
+            if not self._rows.get(role.name) and not (role.name == "truth" and truth is not None):
+                self.notes.append(
+                    f"no {role.name} ({' or '.join(role.types)}): without it there is no comparison of {role.lacks}"
+                )
+        return Recording(
+            path=folder, duration=(log_end - log_begin) / NS_PER_S, topics=dict(self._found),
+            commands=self._commands(begin), odometry=odometry, truth=truth, imu=self._imu_samples(begin),
+            scans=self._scans(begin), map=(self._rows.get("map") or [None])[0], pictures=self._pictures(begin),
+            arrivals=self._arrivals(), notes=tuple(self.notes),
+        )  # fmt: skip
+
+    def _arrivals(self) -> dict[str, Arrivals]:
+        out = {}
+        for topic, log in self._log.items():
+            stamps = self._stamps[topic]
+            if log and not self._infos[topic].latched:
+                usable = len(stamps) == len(log) and any(stamps)
+                out[topic] = Arrivals(np.array(log, dtype=np.int64), np.array(stamps, dtype=np.int64) if usable else None)
+        return out
+
+    def _commands(self, begin: int) -> Commands | None:
+        rows = self._rows.get("cmd_vel")
+        if not rows:
+            return None
+        values = np.array([row[1:] for row in rows], dtype=np.float64)
+        times = self._on_stamp_clock(np.array([row[0] for row in rows], dtype=np.int64))
+        return Commands((times - begin) / NS_PER_S, values[:, 0], values[:, 1])
+
+    def _on_stamp_clock(self, log_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Returns log times as the clock of the stamps would show them: the two differ where simulation time was recorded by wall time."""
+        topic = self._found.get("odom", "")
+        log, stamps = self._log.get(topic, []), self._stamps.get(topic, [])
+        if len(log) < 2 or len(stamps) != len(log) or abs(np.median(np.subtract(log, stamps))) < SAME_CLOCK_S * NS_PER_S:
+            return log_ns
+        self.notes.append("log times and stamps are of different clocks: arrivals of cmd_vel are translated by those of odom")
+        offset = np.interp(
+            log_ns.astype(np.float64), np.array(log, dtype=np.float64), np.subtract(stamps, log).astype(np.float64)
+        )
+        return log_ns + np.rint(offset).astype(np.int64)
+
+    def _track(self, role: str, begin: int) -> Track | None:
+        rows = self._rows.get(role)
+        if not rows or len(rows) < 2:
+            return None
+        t, table = _in_order(rows, begin)
+        x, y, yaw, linear, angular = table.T
+        return Track(t, x, y, np.unwrap(yaw), linear, angular, self._found[role])
+
+    def _truth_from_tf(self, odometry: Track | None, begin: int) -> Track | None:
+        """Returns odometry in the map, by the transform map -> odom of a localisation; None = there is none."""
+        if odometry is None or len(self._map_from_odom) < 2:
+            return None
+        t, table = _in_order(self._map_from_odom, begin)
+        x, y, yaw = (np.interp(odometry.t, t, column) for column in (table[:, 0], table[:, 1], np.unwrap(table[:, 2])))
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        nothing = np.full(len(odometry.t), np.nan)
+        self._frames["truth"] = _OPTIONAL_MAP
+        self.notes.append("the pose is that of a localisation (tf map -> odom): its own errors are in the drift")
+        return Track(
+            odometry.t, x + cos * odometry.x - sin * odometry.y, y + sin * odometry.x + cos * odometry.y, yaw + odometry.yaw,
+            nothing, nothing, "tf map -> odom",
+        )  # fmt: skip
+
+    def _imu_samples(self, begin: int) -> ImuSamples | None:
+        rows = self._rows.get("imu")
+        if not rows or len(rows) < 2:
+            return None
+        t, table = _in_order(rows, begin)
+        return ImuSamples(t, table[:, :3], table[:, 3:])
+
+    def _scans(self, begin: int) -> Scans | None:
+        rows = self._rows.get("scan")
+        if not rows or len(rows) < 2:
+            return None
+        first = rows[0][1]
+        alike = [(stamp, msg) for stamp, msg in rows if len(msg.ranges) == len(first.ranges)]
+        order = np.argsort([stamp for stamp, _ in alike], kind="stable")
+        ranges = np.array([alike[i][1].ranges for i in order], dtype=np.float64)
+        ranges[(ranges < first.range_min) | (ranges > first.range_max)] = np.inf
+        mount, upside_down = self._mount()
+        return Scans(
+            (np.array([alike[i][0] for i in order]) - begin) / NS_PER_S, ranges, float(first.angle_min), float(first.angle_increment),
+            float(first.range_min), float(first.range_max), mount, upside_down,
+        )  # fmt: skip
+
+    def _mount(self) -> tuple[tuple[float, float, float], bool]:
+        """Returns where the lidar is on the base, by the fixed transforms, and whether it hangs upside down."""
+        frame, base = self._frames.get("scan", "").lstrip("/"), self._frames.get("base", "").lstrip("/")
+        T: Mat4 = np.eye(4)
+        for _ in range(50):
+            if frame == base or frame not in self._fixed:
+                break
+            frame, step = self._fixed[frame]
+            T = step @ T
+        if frame != base:
+            self.notes.append(f"no fixed transform from {base or 'the base'} to the lidar's frame: it is taken to be at the base")
+            return (0.0, 0.0, 0.0), False
+        return (float(T[0, 3]), float(T[1, 3]), float(np.arctan2(T[1, 0], T[0, 0]))), bool(T[2, 2] < 0.0)
+
+    def _pictures(self, begin: int) -> Pictures | None:
+        rows = self._rows.get("image")
+        if not rows:
+            return None
+        stamps = np.array([row[0] for row in rows], dtype=np.int64)
+        statistics, histograms = (np.array([row[i] for row in rows]) for i in (1, 2))
+        return Pictures((stamps - begin) / NS_PER_S, statistics, histograms, tuple(row[3] for row in rows))
+
+
+def _planar(stamp: Any, pose: Any, twist: Any) -> tuple[int, float, float, float, float, float]:
+    q = pose.orientation
+    linear, angular = (twist.linear.x, twist.angular.z) if twist is not None else (np.nan, np.nan)
+    return header_stamp_ns(stamp), pose.position.x, pose.position.y, yaw_from_quat((q.x, q.y, q.z, q.w)), linear, angular
+
+
+def _in_order(rows: list[Any], begin: int) -> tuple[F64, F64]:
+    """Returns times since ``begin``, strictly rising, (N,), and the other columns, (N, C)."""
+    stamps, first = np.unique(np.array([row[0] for row in rows], dtype=np.int64), return_index=True)
+    return (stamps - begin) / NS_PER_S, np.array([rows[i][1:] for i in first], dtype=np.float64)
+
+
+def _rgb(msg: Any) -> NDArray[np.uint8] | None:
+    """Returns the picture as RGB; None = it cannot be read, or it is no colour image."""
+    if hasattr(msg, "format"):
+        bgr = cv2.imdecode(np.frombuffer(msg.data, dtype=np.uint8), cv2.IMREAD_COLOR)
+        return None if bgr is None else np.asarray(bgr[:, :, ::-1])
+    try:
+        pixels = image_to_array(msg)
+    except RecordError:
+        return None
+    if pixels.dtype != np.uint8:
+        return None
+    if pixels.ndim == 2:
+        return np.repeat(pixels[:, :, None], 3, axis=2)
+    return pixels[:, :, 2::-1] if msg.encoding.startswith("bgr") else pixels[:, :, :3]

@@ -1,0 +1,186 @@
+"""The HTML page of a comparison: one file, nothing loaded from elsewhere. Pure."""
+
+from __future__ import annotations
+
+import base64
+import html
+import math
+from collections.abc import Iterable, Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.bags.comparison.compare import Comparison, Row
+from gibson_sim.bags.comparison.parameters import Parameter
+from gibson_sim.bags.comparison.plots import Plot
+from gibson_sim.bags.comparison.robot_file import rounded
+
+_MOST_ROWS, _MOST_PAIRS = 15, 4
+_STYLE = """
+:root { color-scheme: light; }
+body { font: 15px/1.5 system-ui, "Segoe UI", Roboto, sans-serif; color: #111827; background: #fff;
+  max-width: 1120px; margin: 2em auto; padding: 0 1.2em; }
+h1 { font-size: 1.6em; margin: 0 0 .2em; }
+h2 { font-size: 1.2em; margin: 2em 0 .4em; border-bottom: 1px solid #e5e7eb; padding-bottom: .2em; }
+p.caption, .quiet { color: #4b5563; margin: .2em 0 .6em; }
+table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
+th, td { text-align: left; padding: .28em .7em; border-bottom: 1px solid #e5e7eb; vertical-align: top; }
+th { font-weight: 600; color: #374151; border-bottom: 2px solid #9ca3af; }
+td.number, th.number { text-align: right; white-space: nowrap; }
+tr.group td { background: #f3f4f6; font-weight: 600; }
+td.much { font-weight: 600; } .real { color: #c2410c; } .sim { color: #1d4ed8; }
+code { font: .92em ui-monospace, Menlo, Consolas, monospace; background: #f3f4f6; padding: .05em .3em; border-radius: 3px; white-space: nowrap; }
+svg { width: 100%; height: auto; } .pairs { display: grid; grid-template-columns: repeat(auto-fill, minmax(240px, 1fr)); gap: 1em; }
+.pairs figure { margin: 0; } .pairs img { width: 100%; display: block; }
+.bar { display: inline-block; height: .7em; background: #f59e0b; border-radius: 2px; }
+"""
+
+
+def page(comparison: Comparison, plots: Sequence[Plot], robot: str, created: str = "") -> str:
+    """Returns the page.
+
+    Args:
+        comparison: What to show.
+        plots: Drawings, in their order.
+        robot: Name or file of the simulated robot.
+        created: A line that says what made it.
+    """
+    real, sim = comparison.real.recording, comparison.sim.recording
+    head = (
+        f'<h1>Real and simulated</h1><p class="quiet"><span class="real">real</span> <code>{_text(str(real.path))}</code>, '
+        f'{real.duration:.1f} s · <span class="sim">simulated</span> <code>{_text(str(sim.path))}</code>, {sim.duration:.1f} s · '
+        f"robot <code>{_text(robot)}</code> · {_text(comparison.alignment)}</p>"
+    )
+    parts = [head, _differing(comparison), _parameters(comparison.parameters), *(_drawing(plot) for plot in plots)]
+    parts += [_pairs(comparison), _all(comparison.rows), _topics(comparison), _notes(comparison.notes)]
+    footer = f'<p class="quiet">{_text(created)}</p>' if created else ""
+    title = f"{real.path.name} and {sim.path.name}"
+    return (
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{_text(title)}</title><style>{_STYLE}</style></head>'
+        f"<body>{''.join(parts)}{footer}</body></html>\n"
+    )
+
+
+def number(value: float, unit: str = "") -> str:
+    """Returns a number for readers: four digits at most, a dash where there is none."""
+    if not math.isfinite(value):
+        return "–"
+    digits = f"{value:.3g}" if 1e-3 <= abs(value) < 1e4 or value == 0.0 else f"{value:.2e}"
+    if 1.0 <= abs(value) < 1e4:
+        digits = f"{value:.{max(0, 3 - int(math.log10(abs(value))))}f}" if abs(value) < 1000 else f"{value:.0f}"
+    if "." in digits and "e" not in digits:
+        digits = digits.rstrip("0").rstrip(".")
+    return f"{digits} {unit}".strip()
+
+
+def _text(value: str) -> str:
+    return html.escape(value)
+
+
+def _table(columns: Sequence[tuple[str, bool]], lines: Iterable[str]) -> str:
+    heads = "".join(f'<th class="number">{name}</th>' if right else f"<th>{name}</th>" for name, right in columns)
+    return f"<table><thead><tr>{heads}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+
+
+_VALUES = (("real", True), ("simulated", True), ("difference", True))
+
+
+def _values(row: Row) -> str:
+    numbers = ((row.real, "real"), (row.sim, "sim"), (row.difference, ""))
+    return "".join(f'<td class="number {colour}">{number(value, row.unit)}</td>' for value, colour in numbers)
+
+
+def _differing(comparison: Comparison) -> str:
+    rows = comparison.differing
+    if not rows:
+        return "<h2>What differs most</h2><p>Nothing differs by more than is worth a look.</p>"
+    lines = []
+    for row in rows[:_MOST_ROWS]:
+        width = 0.4 + 4.6 * math.log(row.weight + 1.0) / math.log(rows[0].weight + 1.0)
+        change = _text(row.change) if row.change else '<span class="quiet">–</span>'
+        lines.append(
+            f"<tr><td>{_text(row.group)}: {_text(row.name)}</td>{_values(row)}"
+            f'<td><span class="bar" style="width:{width:.1f}em" title="{row.weight:.1f} times what is notable"></span></td><td>{change}</td></tr>'
+        )
+    more = f'<p class="quiet">{len(rows) - _MOST_ROWS} more below.</p>' if len(rows) > _MOST_ROWS else ""
+    columns = [("figure", False), *_VALUES, ("weight", False), ("change in robot.yaml", False)]
+    caption = '<p class="caption">Sorted by the difference in units of what is worth a look for that figure.</p>'
+    return f"<h2>What differs most</h2>{caption}{_table(columns, lines)}{more}"
+
+
+def _parameters(parameters: Sequence[Parameter]) -> str:
+    if not parameters:
+        return ""
+    lines = []
+    for one in sorted(parameters, key=lambda parameter: not parameter.changes):
+        spread = f" ± {number(one.deviation)}" if math.isfinite(one.deviation) and one.deviation > 0 else ""
+        new = f"{rounded(one):g}" if one.changes else '<span class="quiet">stays</span>'
+        kind = "much" if one.changes else "quiet"
+        lines.append(
+            f'<tr><td><code>{_text(one.name)}</code></td><td class="number">{number(one.old)}</td>'
+            f'<td class="number {kind}">{new}</td><td class="number quiet">{spread}</td><td>{_text(one.unit)}</td>'
+            f'<td class="quiet">{_text(one.because)}</td></tr>'
+        )
+    columns = [("parameter", False), ("now", True), ("fitted", True), ("", True), ("unit", False), ("from", False)]
+    caption = '<p class="caption">What would bring the simulated robot closer; <code>--fit</code> writes it to a file.</p>'
+    return f"<h2>Parameters of robot.yaml</h2>{caption}{_table(columns, lines)}"
+
+
+def _drawing(plot: Plot) -> str:
+    return f'<h2>{_text(plot.title)}</h2><p class="caption">{_text(plot.caption)}</p>{plot.svg}'
+
+
+def _pairs(comparison: Comparison) -> str:
+    matched, real, sim = comparison.pictures, comparison.real.recording.pictures, comparison.sim.recording.pictures
+    if matched is None or real is None or sim is None or not real.thumbnails or not sim.thumbnails:
+        return ""
+    shown = matched.pairs[np.unique(np.linspace(0, len(matched.pairs) - 1, _MOST_PAIRS).astype(int))]
+    figures = "".join(
+        f'<figure><img alt="real" src="{_image(real.thumbnails[i])}"><img alt="simulated" src="{_image(sim.thumbnails[j])}">'
+        f'<figcaption class="quiet">real {real.t[i]:.1f} s, simulated {sim.t[j]:.1f} s</figcaption></figure>'
+        for i, j in shown
+    )
+    return (
+        f'<h2>Images at the same poses</h2><p class="caption">Real above, simulated below.</p><div class="pairs">{figures}</div>'
+    )
+
+
+def _image(rgb: NDArray[np.uint8]) -> str:
+    _, data = cv2.imencode(".jpg", rgb[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
+    return f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode()}"
+
+
+def _all(rows: Sequence[Row]) -> str:
+    lines, group = [], ""
+    for row in rows:
+        if row.group != group:
+            group = row.group
+            lines.append(f'<tr class="group"><td colspan="4">{_text(group)}</td></tr>')
+        lines.append(f"<tr><td>{_text(row.name)}</td>{_values(row)}</tr>")
+    return f"<h2>All figures</h2>{_table([('figure', False), *_VALUES], lines)}" if lines else ""
+
+
+def _topics(comparison: Comparison) -> str:
+    sides = [(one.recording, one.timing or {}) for one in (comparison.real, comparison.sim)]
+    lines = []
+    for side, (_, timing) in zip(("real", "sim"), sides, strict=True):
+        for topic, one in sorted(timing.items()):
+            values = (one.rate_hz, one.jitter_ms, float(one.missing), one.latency_ms, one.latency_99_ms)
+            cells = "".join(f'<td class="number">{number(value)}</td>' for value in values)
+            name = {"real": "real", "sim": "simulated"}[side]
+            lines.append(
+                f'<tr><td class="{side}">{name}</td><td><code>{_text(topic)}</code></td><td class="number">{one.count}</td>{cells}</tr>'
+            )
+    columns = [("bag", False), ("topic", False), ("messages", True), ("rate, Hz", True), ("jitter, ms", True), ("missing", True)]
+    columns += [("latency, ms", True), ("99 %, ms", True)]
+    caption = (
+        '<p class="caption">Latency is log time minus stamp. On a real robot both are wall time; in a bag recorded here both are '
+        "simulation time, which only passes in ticks; where they are of different clocks there is none.</p>"
+    )
+    return f"<h2>Topics</h2>{caption}{_table(columns, lines)}"
+
+
+def _notes(notes: Sequence[str]) -> str:
+    items = "".join(f"<li>{_text(note)}</li>" for note in notes)
+    return f"<h2>Left out, and assumed</h2><ul>{items}</ul>" if items else ""

@@ -1,0 +1,230 @@
+"""How a velocity follows its command: steps one by one, and linear models with a delay fitted to the whole drive. Pure.
+
+A step's line through 20 and 80 per cent of its rise gives the delay (where it meets the start) and the acceleration: exact where an
+acceleration limit makes a ramp of it. The models are the usual ones of system identification: K / (T s + 1) and
+K w^2 / (s^2 + 2 z w s + w^2), each after a dead time.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.signal import bilinear_zpk, lfilter, zpk2tf
+
+from gibson_sim.bags.comparison.recording import F64
+from gibson_sim.bags.comparison.signals import held
+
+_BEFORE, _AFTER = 0.2, 0.8
+"""Seconds for which a command must stay the same before and after a step."""
+_MODEL_DT = 0.01
+"""Seconds between samples of a model."""
+_LONGEST_DELAY = 1.0
+"""Seconds: a model's dead time is looked for up to here."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """The answer to one step of the command."""
+
+    time: float
+    """Seconds: when the command came."""
+    before: float
+    after: float
+    """The command, m/s or rad/s."""
+    delay: float
+    """Seconds."""
+    rise_time: float
+    """Seconds from 10 to 90 per cent."""
+    overshoot: float
+    """Part of the step's height."""
+    gain: float
+    """What it settles at over the command; NaN after a step to zero."""
+    acceleration: float
+    """m/s^2 or rad/s^2, without sign."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinearModel:
+    """A linear system of first or second order behind a dead time."""
+
+    order: int
+    gain: float
+    delay: float
+    """Seconds."""
+    time_constant: float
+    """Seconds: T, or 1 / w."""
+    damping: float
+    """z; 1 for the first order."""
+    rms: float
+    """Root mean square of what it does not explain, m/s or rad/s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisResponse:
+    """The response of forward speed or of yaw rate."""
+
+    steps: tuple[Step, ...]
+    models: tuple[LinearModel, ...]
+    """The best one first; empty where the command never changes."""
+
+    def median(self, name: str) -> float:
+        """Returns the median over the steps of a field of ``Step``; NaN where there are none."""
+        values = [value for step in self.steps if math.isfinite(value := float(getattr(step, name)))]
+        return float(np.median(values)) if values else math.nan
+
+    @property
+    def delay(self) -> float:
+        """Seconds: of the steps, else of the best model."""
+        return self._or_model("delay", "delay")
+
+    @property
+    def gain(self) -> float:
+        """Settled velocity over the command: of the steps, else of the best model."""
+        return self._or_model("gain", "gain")
+
+    def _or_model(self, of_step: str, of_model: str) -> float:
+        value = self.median(of_step)
+        return float(getattr(self.models[0], of_model)) if math.isnan(value) and self.models else value
+
+
+def axis_response(command_t: F64, command: F64, t: F64, velocity: F64, *, least: float, timeout: float = 0.5) -> AxisResponse:
+    """Returns how ``velocity`` follows ``command``.
+
+    Args:
+        command_t: (N,), seconds.
+        command: (N,), m/s or rad/s.
+        t: (M,), seconds, rising.
+        velocity: (M,), in the unit of the command.
+        least: Smallest height of a step that counts.
+        timeout: Seconds after which a command no longer counts.
+    """
+    steps = tuple(find_steps(command_t, command, t, velocity, least=least, timeout=timeout))
+    return AxisResponse(steps, linear_models(command_t, command, t, velocity, least=least, timeout=timeout))
+
+
+def find_steps(command_t: F64, command: F64, t: F64, velocity: F64, *, least: float, timeout: float = 0.5) -> list[Step]:
+    """Returns the answers to all steps of the command that stand alone; the arguments are those of ``axis_response``."""
+    grid = np.arange(t[0], t[-1], _MODEL_DT) if len(t) > 1 else np.zeros(0)
+    # The moments at which what is in force changes: commands, and their time-outs.
+    asked = held(command_t, command, grid, timeout)
+    changes = np.flatnonzero(np.abs(np.diff(asked)) > 1e-9)
+    found = []
+    for i, row in enumerate(changes):
+        begin = float(grid[row + 1])
+        quiet_from = float(grid[changes[i - 1] + 1]) if i else float(grid[0])
+        quiet_to = float(grid[changes[i + 1] + 1]) if i + 1 < len(changes) else float(grid[-1])
+        height = float(asked[row + 1] - asked[row])
+        if abs(height) >= least and begin - quiet_from >= _BEFORE and quiet_to - begin >= _AFTER:
+            exact = _exact_time(command_t, begin)
+            step = _measure(exact, quiet_to, float(asked[row]), float(asked[row + 1]), t, velocity)
+            if step is not None:
+                found.append(step)
+    return found
+
+
+def _exact_time(command_t: F64, near: float) -> float:
+    """Returns the time of the command that made the change, else that of the grid."""
+    row = int(np.searchsorted(command_t, near, side="right")) - 1
+    return float(command_t[row]) if row >= 0 and near - command_t[row] <= 2 * _MODEL_DT else near
+
+
+def _measure(begin: float, end: float, before: float, after: float, t: F64, velocity: F64) -> Step | None:
+    """Returns the answer to a step; None = it was not followed, or not at rest before it."""
+    mask = (t >= begin - _BEFORE) & (t < end)
+    when, values = t[mask], velocity[mask]
+    early, late = values[when < begin], values[when > end - 0.3 * (end - begin)]
+    if len(early) < 2 or len(late) < 3:
+        return None
+    low, high = float(np.mean(early)), float(np.mean(late))
+    height = high - low
+    if abs(height) < 0.3 * abs(after - before):
+        return None
+    part = (values - low) / height
+    past_tenth = _crossing(when, part, 0.1, begin)
+    past_ninth = _crossing(when, part, 0.9, past_tenth)
+    a, b = _crossing(when, part, 0.2, begin), _crossing(when, part, 0.8, begin)
+    if not (math.isfinite(past_ninth) and b > a):
+        return None
+    slope = 0.6 / (b - a)
+    noise = float(np.std(late)) / abs(height)
+    overshoot = max(0.0, float(part[when >= past_ninth].max()) - 1.0 - 3.0 * noise)
+    gain = high / after if abs(after) > 1e-9 else math.nan
+    return Step(begin, before, after, a - 0.2 / slope - begin, past_ninth - past_tenth, overshoot, gain, slope * abs(height))
+
+
+def _crossing(t: F64, part: F64, level: float, start: float) -> float:
+    """Returns when the signal passes ``level`` after ``start``: in the middle between first reaching it and last falling below it."""
+    after = t >= start
+    arrived = np.flatnonzero(after & (part >= max(level, 0.97)))
+    rows = np.flatnonzero(after & (part >= level))
+    if not len(rows) or rows[0] == 0:
+        return math.nan
+    first, past = int(rows[0]), int(arrived[0]) if len(arrived) else len(t) - 1
+    below = np.flatnonzero(part[first:past] < level)
+    last = first + int(below[-1]) + 1 if len(below) else first
+    return (_between(t, part, first, level) + _between(t, part, last, level)) / 2
+
+
+def _between(t: F64, part: F64, i: int, level: float) -> float:
+    """Returns when the line from sample ``i - 1`` to ``i`` meets ``level``."""
+    rise = float(part[i] - part[i - 1])
+    share = (level - float(part[i - 1])) / rise if rise > 0 else 1.0
+    return float(t[i - 1] + min(max(share, 0.0), 1.0) * (t[i] - t[i - 1]))
+
+
+def linear_models(
+    command_t: F64, command: F64, t: F64, velocity: F64, *, least: float, timeout: float = 0.5
+) -> tuple[LinearModel, ...]:
+    """Returns models of first and second order fitted to the whole drive, the better one first; none where nothing changes.
+
+    The arguments are those of ``axis_response``.
+    """
+    if len(t) < 20 or len(command_t) < 2:
+        return ()
+    grid = np.arange(t[0] - _LONGEST_DELAY, t[-1], _MODEL_DT)
+    asked = held(command_t, command, grid, timeout)
+    if float(np.ptp(asked)) < least:
+        return ()
+    # Where nothing is asked and nothing moves there is nothing to learn.
+    busy = (np.abs(np.interp(t, grid, asked)) > 0.0) | (np.abs(velocity) > 0.05 * float(np.ptp(asked)))
+    when, target = t[busy], velocity[busy]
+    models = [_fitted(order, grid, asked, when, target) for order in (1, 2)]
+    return tuple(sorted(models, key=lambda model: model.rms * (1.0 + 0.01 * model.order)))
+
+
+def _fitted(order: int, grid: F64, asked: F64, when: F64, target: F64) -> LinearModel:
+    simulate = _first_order if order == 1 else _second_order
+
+    def residuals(p: F64) -> F64:
+        return np.asarray(float(p[0]) * np.interp(when - p[1], grid, simulate(asked, *p[2:])) - target, dtype=np.float64)
+
+    best = None
+    for delay in (0.02, 0.15):
+        start, low, high = [1.0, delay, 0.15], [-3.0, 0.0, 1e-3], [3.0, _LONGEST_DELAY, 5.0]
+        if order == 2:
+            start, low, high = [*start, 0.9], [*low, 0.05], [*high, 5.0]
+        result = least_squares(residuals, start, bounds=(low, high), x_scale=[1.0, 0.05, 0.1, 0.5][: len(start)], max_nfev=60)
+        if best is None or result.cost < best.cost:
+            best = result
+    assert best is not None
+    gain, delay, time_constant, *damping = (float(value) for value in best.x)
+    rms = math.sqrt(2.0 * float(best.cost) / max(len(when), 1))
+    return LinearModel(order, gain, delay, time_constant, damping[0] if damping else 1.0, rms)
+
+
+def _first_order(asked: F64, time_constant: float) -> F64:
+    """Returns the answer of 1 / (T s + 1) to a held input, exact at the samples."""
+    pole = math.exp(-_MODEL_DT / time_constant)
+    return np.asarray(lfilter([0.0, 1.0 - pole], [1.0, -pole], asked), dtype=np.float64)
+
+
+def _second_order(asked: F64, period: float, damping: float) -> F64:
+    """Returns the answer of w^2 / (s^2 + 2 z w s + w^2), w = 1 / period, by the bilinear transform."""
+    w = 1.0 / period
+    root = np.emath.sqrt(damping**2 - 1.0)
+    zeros, poles, gain = bilinear_zpk([], [w * (-damping + root), w * (-damping - root)], w**2, 1.0 / _MODEL_DT)
+    b, a = zpk2tf(zeros, poles, gain)
+    return np.asarray(lfilter(np.real(b), np.real(a), asked), dtype=np.float64)

@@ -1,0 +1,82 @@
+"""Writes a copy of a ``robot.yaml`` with other values; comments and the order of keys stay."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap
+from ruamel.yaml.error import YAMLError
+
+from gibson_sim.bags.comparison.parameters import Parameter
+from gibson_sim.errors import RobotError
+from gibson_sim.resources import find_robot
+from gibson_sim.robots.load import ROBOT_FILE, load_robot
+
+_WHOLE = ("encoder_ticks", "beams")
+"""Keys whose values are whole numbers."""
+
+
+def robot_file(robot: str) -> Path:
+    """Returns the ``robot.yaml`` of a name, a folder or a file.
+
+    Raises:
+        RobotError: there is none.
+    """
+    load_robot(robot)
+    path = Path(robot)
+    if path.suffix not in (".yaml", ".yml") and len(path.parts) == 1:
+        path = find_robot(robot)
+    return (path / ROBOT_FILE if path.is_dir() else path).absolute()
+
+
+def write_fitted(source: Path, parameters: Iterable[Parameter], output: Path) -> Path:
+    """Writes ``source`` with the parameters that change, and reads it again to make sure that it is a robot; returns ``output``.
+
+    Args:
+        source: A ``robot.yaml``.
+        parameters: Those that do not change are left as they are.
+        output: File to write; its folder is made.
+
+    Raises:
+        RobotError: the file cannot be read, or would be no robot.
+    """
+    yaml = YAML()
+    yaml.width = 1000
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    try:
+        robot = yaml.load(source.read_text(encoding="utf-8"))
+    except (YAMLError, OSError) as error:
+        raise RobotError(f"{source}: cannot be read: {' '.join(str(error).split())}") from error
+    # The copy may lie anywhere.
+    robot["urdf"] = str((source.parent / robot["urdf"]).resolve())
+    for parameter in parameters:
+        if parameter.changes:
+            _set(robot, parameter)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    with output.open("w", encoding="utf-8") as file:
+        yaml.dump(robot, file)
+    load_robot(output)
+    return output
+
+
+def _set(robot: Any, parameter: Parameter) -> None:
+    section = robot.get(parameter.section)
+    if section is None:
+        section = robot[parameter.section] = CommentedMap()
+    if isinstance(section, list):
+        section = section[parameter.index]
+    had = parameter.key in section
+    section[parameter.key] = rounded(parameter)
+    was = f"was {parameter.old:g}" if had else f"was not given, which is {parameter.old:g}"
+    if isinstance(section, CommentedMap) and not section.fa.flow_style():
+        section.yaml_add_eol_comment(f"fitted; {was}", parameter.key)
+
+
+def rounded(parameter: Parameter) -> float | int:
+    """Returns the new value with four digits, or whole."""
+    if parameter.key in _WHOLE:
+        return round(parameter.new)
+    return float(f"{parameter.new:.4g}")

@@ -1,0 +1,98 @@
+"""Small tools on sampled signals: holds, stretches of time, rest. Pure."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.bags.comparison.recording import F64, Commands, ImuSamples, Track
+
+STILL_LINEAR, STILL_ANGULAR = 0.01, 0.02
+"""m/s and rad/s: wheels that turn less stand."""
+_WINDOW = 0.5
+"""Seconds over which the spread of an IMU is looked at."""
+_CALM = 2.5
+"""How many times the least spread of an IMU still is rest."""
+
+
+def held(t: F64, values: F64, when: F64, timeout: float) -> F64:
+    """Returns the last of ``values`` (N,), set at ``t`` (N,), at the times ``when`` (M,); 0 before the first and after ``timeout``."""
+    rows = np.searchsorted(t, when, side="right") - 1
+    valid = rows >= 0
+    rows = np.maximum(rows, 0)
+    valid &= when - t[rows] <= timeout
+    return np.where(valid, values[rows], 0.0)
+
+
+def stretches(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Returns (first, past the last) of every run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], mask.astype(np.int8), [0]])))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+
+
+def rests(
+    imu: ImuSamples | None, track: Track | None, commands: Commands | None = None, *, least: float = 2.0, margin: float = 0.5
+) -> list[tuple[float, float]]:
+    """Returns (begin, end), seconds, of the times at which the robot stands.
+
+    It stands where wheel odometry says so, where nothing but zero is commanded, and where the spread of the IMU over half a second is
+    near the least one of the recording.
+
+    Args:
+        imu: Its samples, if there are any.
+        track: Odometry, if there is any.
+        commands: What was commanded, if it is known.
+        least: Seconds that a rest must last, without its margins.
+        margin: Seconds that are left out at both ends.
+    """
+    clocks = [part.t for part in (imu, track) if part is not None and len(part.t) > 1]
+    if not clocks:
+        return []
+    when = np.arange(min(t[0] for t in clocks), max(t[-1] for t in clocks), 0.05)
+    still = np.ones(len(when), dtype=bool)
+    if track is not None and len(track.t) > 1:
+        linear, angular = speeds(track)
+        moving = (np.abs(linear) > STILL_LINEAR) | (np.abs(angular) > STILL_ANGULAR)
+        still &= np.interp(when, track.t, moving.astype(np.float64), left=1.0, right=1.0) == 0.0
+    if commands is not None and len(commands.t):
+        asked = np.hypot(held(commands.t, commands.linear, when, 0.5), held(commands.t, commands.angular, when, 0.5))
+        still &= asked == 0.0
+    if imu is not None and len(imu.t) > 1:
+        still &= _calm(imu, when)
+    found = [(when[a] + margin, when[b - 1] - margin) for a, b in stretches(still)]
+    return [(float(a), float(b)) for a, b in found if b - a >= least]
+
+
+def _calm(imu: ImuSamples, when: F64) -> NDArray[np.bool_]:
+    """Returns where the spread of all axes is near its least, (M,)."""
+    calm = np.ones(len(when), dtype=bool)
+    first = np.searchsorted(imu.t, when - _WINDOW / 2)
+    past = np.maximum(np.searchsorted(imu.t, when + _WINDOW / 2), first + 1)
+    count = past - first
+    for column in np.concatenate([imu.gyro, imu.accel], axis=1).T:
+        centred = column - np.median(column)
+        sums = np.concatenate([[0.0], np.cumsum(centred)])
+        squares = np.concatenate([[0.0], np.cumsum(centred**2)])
+        mean = (sums[past] - sums[first]) / count
+        variance = np.maximum((squares[past] - squares[first]) / count - mean**2, 0.0)
+        least = float(np.percentile(variance[count > 2], 5)) if (count > 2).any() else 0.0
+        calm &= (variance <= _CALM**2 * least + 1e-8) & (count > 2)
+    return calm
+
+
+def speeds(track: Track) -> tuple[F64, F64]:
+    """Returns forward speed (m/s) and yaw rate (rad/s), each (N,): those of the source, else differences of the poses."""
+    if np.isfinite(track.linear).all() and np.isfinite(track.angular).all():
+        return track.linear, track.angular
+    if len(track.t) < 3:
+        return np.zeros_like(track.t), np.zeros_like(track.t)
+    vx, vy = np.gradient(track.x, track.t), np.gradient(track.y, track.t)
+    return vx * np.cos(track.yaw) + vy * np.sin(track.yaw), np.gradient(track.yaw, track.t)
+
+
+def inside(t: F64, spans: list[tuple[float, float]]) -> NDArray[np.bool_]:
+    """Returns which of the times ``t``, (N,), are in any of the spans."""
+    mask = np.zeros(len(t), dtype=bool)
+    for begin, end in spans:
+        mask |= (t >= begin) & (t <= end)
+    return mask

@@ -1,0 +1,225 @@
+"""Whether two runs are the same, by the digests of their ticks; and where they part, if not. Pure."""
+
+from __future__ import annotations
+
+from array import array
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, TypeAlias
+
+from gibson_sim.types import NS_PER_S
+
+Tick: TypeAlias = tuple[int, int]
+"""Epoch, and steps since it began."""
+_STATE_TOPIC, _FLOW_TOPIC = "scene_state", "/flow/image_raw"
+
+
+@dataclass(frozen=True, slots=True)
+class TickDigests:
+    """What one node published at a tick."""
+
+    stamp_ns: int
+    topics: tuple[str, ...]
+    digests: array[int]
+
+    @property
+    def is_physics(self) -> bool:
+        """Whether they are of the physics node, else they are of images."""
+        return any(topic.rpartition("/")[2] == _STATE_TOPIC for topic in self.topics)
+
+    def values(self) -> dict[str, int]:
+        """Returns the digest of each topic."""
+        return dict(zip(self.topics, self.digests, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A tick at which two runs are not the same."""
+
+    epoch: int
+    step: int
+    stamp_ns: int
+    topics: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """What came of a comparison."""
+
+    ticks: int = 0
+    """Ticks of physics that were compared."""
+    missing_ticks: int = 0
+    """Ticks of physics that only the first run has."""
+    unknown_ticks: int = 0
+    """Ticks of physics up to the last one of the first run that only the second run has."""
+    images: int = 0
+    """Ticks with images that were compared."""
+    missing_images: int = 0
+    """Images, by tick and topic, that only the first run has: they are not compared."""
+    unknown_images: int = 0
+    """Images that only the second run has."""
+    without_images: bool = False
+    """Whether the second run draws nothing, so that physics alone is compared."""
+    first: Difference | None = None
+    differing: Mapping[str, int] = field(default_factory=dict)
+    """Topic -> ticks at which it differs."""
+    compared: Mapping[str, int] = field(default_factory=dict)
+    """Topic -> ticks at which it was compared."""
+
+    @property
+    def is_equal(self) -> bool:
+        """Whether all of the first run is repeated to the bit, as far as it can be compared."""
+        nothing_drawn = bool(self.missing_images) and not self.images and not self.without_images
+        return self.ticks > 0 and not self.missing_ticks and not self.differing and not nothing_drawn
+
+    def lines(self) -> list[str]:
+        """Returns what came of it in words."""
+        images = "" if self.without_images else f" and {self.images} ticks with images"
+        lines = [f"compared {self.ticks} ticks of physics{images}, {len(self.compared)} topics"]
+        if self.missing_ticks:
+            lines.append(f"{self.missing_ticks} ticks of the bag did not come again")
+        if self.unknown_ticks:
+            lines.append(f"{self.unknown_ticks} ticks are not in the bag and were not compared")
+        if self.missing_images or self.unknown_images:
+            lines.append(f"not compared: {self.missing_images} images only in the bag, {self.unknown_images} only in the replay")
+        if self.first is not None:
+            f = self.first
+            lines.append(
+                f"first difference: epoch {f.epoch}, step {f.step}, {f.stamp_ns / NS_PER_S:.4f} s, on {', '.join(f.topics)}"
+            )
+        for topic, number in sorted(self.differing.items()):
+            lines.append(f"  {topic}: {number} of {self.compared[topic]} ticks differ")
+        lines.append("equal to the bit" if self.is_equal else "NOT equal")
+        return lines
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns it as numbers and texts."""
+        return {**asdict(self), "is_equal": self.is_equal}
+
+
+def verification_from_json(values: Mapping[str, Any]) -> Verification:
+    """Returns what ``Verification.to_json`` was made of."""
+    given = {key: value for key, value in values.items() if key != "is_equal"}
+    if given["first"] is not None:
+        given["first"] = Difference(**{**given["first"], "topics": tuple(given["first"]["topics"])})
+    return Verification(**given)
+
+
+class DigestComparison:
+    """Compares a run with a recorded one while it goes on.
+
+    Every tick of physics counts, with every topic. Of images those count that both runs have: which of them are drawn depends on who
+    listens and on how fast the machine is. Optical flow counts where the image before was of the same tick in both runs.
+    """
+
+    def __init__(self, expected: Mapping[Tick, Sequence[TickDigests]], *, images: bool = True) -> None:
+        """Takes the digests of the recorded run; without ``images`` those of images are left out."""
+        self._physics: dict[Tick, TickDigests] = {}
+        self._images: dict[Tick, dict[str, int]] = defaultdict(dict)
+        self._has_images = images
+        for tick, found in expected.items():
+            for item in found:
+                if item.is_physics:
+                    self._physics[tick] = item
+                elif images:
+                    self._images[tick].update(item.values())
+        self.last = max(self._physics, default=None)
+        """The last tick of physics; None = there is none."""
+        self._before = _previous_ticks(self._images)
+        self._latest: dict[str, Tick] = {}
+        self._seen_physics: set[Tick] = set()
+        self._seen_images: set[tuple[Tick, str]] = set()
+        self._image_ticks: set[Tick] = set()
+        self._unknown_ticks = self._unknown_images = 0
+        self._compared: Counter[str] = Counter()
+        self._differing: Counter[str] = Counter()
+        self._first: Difference | None = None
+
+    @property
+    def image_topics(self) -> tuple[str, ...]:
+        """Topics of the images that are compared."""
+        return tuple(sorted({topic for found in self._images.values() for topic in found}))
+
+    def is_complete(self, tick: Tick) -> bool:
+        """Returns whether all that is expected of a tick has come."""
+        images = self._images.get(tick, {})
+        physics = tick not in self._physics or tick in self._seen_physics
+        return physics and all((tick, topic) in self._seen_images for topic in images)
+
+    def add(self, tick: Tick, found: TickDigests) -> None:
+        """Compares what one node published at a tick; ticks behind the last one of the recorded run do not count."""
+        if self.last is None or tick > self.last:
+            return
+        if found.is_physics:
+            self._add_physics(tick, found)
+        elif self._has_images:
+            self._add_images(tick, found)
+
+    def _add_physics(self, tick: Tick, found: TickDigests) -> None:
+        expected = self._physics.get(tick)
+        if expected is None:
+            self._unknown_ticks += 1
+            return
+        self._seen_physics.add(tick)
+        before, now = expected.values(), found.values()
+        self._compare(tick, found.stamp_ns, [(topic, before.get(topic), now.get(topic)) for topic in {**before, **now}])
+
+    def _add_images(self, tick: Tick, found: TickDigests) -> None:
+        expected, pairs = self._images.get(tick, {}), []
+        for topic, digest in found.values().items():
+            previous, self._latest[topic] = self._latest.get(topic), tick
+            if topic not in expected:
+                self._unknown_images += 1
+                continue
+            self._seen_images.add((tick, topic))
+            if not topic.endswith(_FLOW_TOPIC) or self._before.get((tick, topic)) == previous:
+                pairs.append((topic, expected[topic], digest))
+        if pairs:
+            self._image_ticks.add(tick)
+        self._compare(tick, found.stamp_ns, pairs)
+
+    def _compare(self, tick: Tick, stamp_ns: int, pairs: Iterable[tuple[str, int | None, int | None]]) -> None:
+        """Counts; keeps the earliest tick with a difference, and all topics that differ at it."""
+        differing = []
+        for topic, before, now in pairs:
+            self._compared[topic] += 1
+            if before != now:
+                differing.append(topic)
+        self._differing.update(differing)
+        if not differing:
+            return
+        first = self._first
+        if first is None or tick < (first.epoch, first.step):
+            self._first = Difference(*tick, stamp_ns, tuple(sorted(differing)))
+        elif tick == (first.epoch, first.step):
+            self._first = Difference(*tick, stamp_ns, tuple(sorted({*first.topics, *differing})))
+
+    def result(self) -> Verification:
+        """Returns what came of it so far."""
+        images = sum(len(found) for found in self._images.values())
+        return Verification(
+            ticks=len(self._seen_physics),
+            missing_ticks=len(self._physics) - len(self._seen_physics),
+            unknown_ticks=self._unknown_ticks,
+            images=len(self._image_ticks),
+            missing_images=images - len(self._seen_images),
+            unknown_images=self._unknown_images,
+            without_images=not self._has_images,
+            first=self._first,
+            differing=dict(self._differing),
+            compared=dict(self._compared),
+        )
+
+
+def _previous_ticks(images: Mapping[Tick, Mapping[str, int]]) -> dict[tuple[Tick, str], Tick]:
+    """Returns, of each image of optical flow, the tick of the one before."""
+    latest: dict[str, Tick] = {}
+    found: dict[tuple[Tick, str], Tick] = {}
+    for tick in sorted(images):
+        for topic in images[tick]:
+            if topic.endswith(_FLOW_TOPIC):
+                if topic in latest:
+                    found[tick, topic] = latest[topic]
+                latest[topic] = tick
+    return found

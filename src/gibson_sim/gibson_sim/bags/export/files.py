@@ -1,0 +1,126 @@
+"""Writes image files with a few threads, and tables."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.bags.export.read import Picture, depth_in_units
+from gibson_sim.errors import RecordError
+
+JPEG_QUALITY = 95
+PNG_LEVEL = 2
+"""A third of the time of OpenCV's default; files grow by some percent."""
+MM_PER_METRE = 1000.0
+_NS_DIGITS = 9
+
+
+def seconds(stamp_ns: int) -> str:
+    """Returns a stamp in seconds with all its digits."""
+    whole, rest = divmod(stamp_ns, 10**_NS_DIGITS)
+    return f"{whole}.{rest:0{_NS_DIGITS}d}"
+
+
+def image_suffix(picture: Picture, image: str, depth: str) -> str:
+    """Returns how the file of a picture ends.
+
+    Args:
+        picture: what is to be written.
+        image: format of colours, ``png`` or ``jpg``; a compressed image stays what it is.
+        depth: format of depths, ``png`` or ``npy``.
+    """
+    kind = picture.stream.kind
+    if kind == "color":
+        return picture.stream.encoding if picture.encoded() is not None else image
+    return {"depth": depth, "labels": "png"}.get(kind, "npy")
+
+
+class ImageFiles:
+    """Writes pictures beside the thread that reads them. Use it as a context manager.
+
+    Args:
+        depth_per_metre: units of a 16-bit depth PNG.
+    """
+
+    def __init__(self, depth_per_metre: float = MM_PER_METRE) -> None:
+        self._scale = depth_per_metre
+        threads = os.cpu_count() or 1
+        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="images")
+        self._waiting: list[Future[None]] = []
+        self._most = 4 * threads
+        self.count = 0
+
+    def write(self, path: Path, picture: Picture) -> None:
+        """Takes a picture; waits while too many are not written yet.
+
+        Raises:
+            RecordError: a file before could not be written.
+        """
+        while len(self._waiting) >= self._most:
+            self._waiting.pop(0).result()
+        self.count += 1
+        self._waiting.append(self._pool.submit(self._write, path, picture))
+
+    def _write(self, path: Path, picture: Picture) -> None:
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            encoded = picture.encoded()
+            if encoded is not None:
+                path.write_bytes(encoded)
+                return
+            if path.suffix == ".npy":
+                np.save(path, picture.metres() if picture.stream.kind == "depth" else picture.array())
+                return
+            written = cv2.imwrite(str(path), self._pixels(picture), _options(path.suffix))
+        except OSError as error:
+            raise RecordError(f"{path} cannot be written: {error.strerror}; is the disk full?") from error
+        if not written:
+            raise RecordError(f"{path} cannot be written: is the folder writable and the disk not full?")
+
+    def _pixels(self, picture: Picture) -> NDArray[Any]:
+        if picture.stream.kind == "color":
+            return picture.bgr()
+        return depth_in_units(picture.metres(), self._scale) if picture.stream.kind == "depth" else picture.array()
+
+    def __enter__(self) -> ImageFiles:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        try:
+            if kind is None:
+                for future in self._waiting:
+                    future.result()
+        finally:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _options(suffix: str) -> Sequence[int]:
+    return (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY) if suffix == ".jpg" else (cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL)
+
+
+def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> int:
+    """Writes a CSV file; returns its number of rows."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    count = 0
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        for row in rows:
+            writer.writerow(row)
+            count += 1
+    return count
+
+
+def write_lines(path: Path, lines: Iterable[str]) -> None:
+    """Writes a text file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")

@@ -1,0 +1,139 @@
+"""What an export was asked for, and what it did."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, get_args
+
+from gibson_sim.bags.export.poses import Poses, PoseSource
+from gibson_sim.bags.export.read import ExportCamera, Picture, find_cameras, nearest, pictures
+from gibson_sim.bags.progress import Advance
+from gibson_sim.bags.reader import NS_PER_S, BagReader
+from gibson_sim.errors import ConfigError, RecordError
+
+Format = Literal["tum", "nerfstudio", "lerobot", "png"]
+FORMATS: tuple[Format, ...] = get_args(Format)
+
+
+@dataclass(frozen=True, slots=True)
+class ExportOptions:
+    """What to export, and how."""
+
+    topics: tuple[str, ...] = ()
+    """Image topics; none = all."""
+    begin: float = 0.0
+    """Seconds after the begin of the bag."""
+    end: float = 0.0
+    """Seconds after the begin of the bag; 0 = its end."""
+    every: int = 1
+    """Take each n-th image of every camera."""
+    image: str = "png"
+    """Format of colours: png or jpg."""
+    depth: str = "png"
+    """Format of depths: png (16 bits) or npy (float32, exact)."""
+    poses: str = "auto"
+    """Where poses come from: auto, scene or tf."""
+    fixed_frame: str = ""
+    """Frame of the poses, with tf; empty = map, odom or world."""
+    max_difference: float = 0.02
+    """Seconds between two images that are taken as one moment."""
+    fps: int = 0
+    """LeRobot: frames a second; 0 = the rate of the images."""
+    task: str = "drive"
+    """LeRobot: what the robot does."""
+
+    def __post_init__(self) -> None:
+        for name, value, known in (
+            ("image", self.image, ("png", "jpg")), ("depth", self.depth, ("png", "npy")),
+            ("poses", self.poses, ("auto", "scene", "tf")),
+        ):  # fmt: skip
+            if value not in known:
+                raise ConfigError(f"{name} is {value!r}, must be one of {', '.join(known)}")
+        if (
+            self.every < 1
+            or self.fps < 0
+            or self.max_difference < 0
+            or self.begin < 0
+            or 0 < self.end <= self.begin
+            or self.end < 0
+        ):
+            raise ConfigError(
+                f"every is {self.every}, fps {self.fps}, max_difference {self.max_difference:g} s, begin {self.begin:g} s, end "
+                f"{self.end:g} s: must be 1 or more, 0 or more, 0 or more, 0 or more, and after begin (or 0)"
+            )
+
+
+@dataclass(slots=True)
+class Report:
+    """What was written, and what the bag did not have."""
+
+    lines: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+
+class ExportJob:
+    """A bag that is being exported.
+
+    Args:
+        bag: what to export.
+        output: folder; it must not exist, or be empty.
+        options: what and how.
+        advance: told how much is done.
+
+    Raises:
+        RecordError: there is nothing to export, or the folder is not empty.
+    """
+
+    def __init__(self, bag: BagReader, output: Path, options: ExportOptions, advance: Advance) -> None:
+        self.bag, self.output, self.options, self.advance = bag, output, options, advance
+        self.report = Report()
+        if output.exists() and (not output.is_dir() or any(output.iterdir())):
+            raise RecordError(f"{output} is there already and is not an empty folder: choose another name or remove it")
+        begin, end = bag.span_ns
+        self.begin_ns: int = begin + round(options.begin * NS_PER_S)
+        self.end_ns: int = min(end, begin + round(options.end * NS_PER_S)) if options.end else end
+        self.cameras, notes = find_cameras(bag, options.topics, self.begin_ns, self.end_ns + 1)
+        if not self.cameras:
+            raise RecordError(
+                f"bag {bag.folder} has no image from {options.begin:g} s on; it is {(end - begin) / NS_PER_S:g} s long"
+            )
+        self.report.notes += notes
+        self._poses = Poses(bag, options.poses, options.fixed_frame)
+
+    def wanted(self, camera: ExportCamera, output: str = "") -> set[int]:
+        """Returns the stamps of a camera's images to take: each n-th of its first output, and those of others nearest to them."""
+        first = camera.stamps[camera.first][:: self.options.every].tolist()
+        if output in ("", camera.first):
+            return set(first)
+        if self.options.every == 1:
+            return set(camera.stamps[output].tolist())
+        found = (nearest(camera.stamps[output], stamp, self.most_ns) for stamp in first)
+        return {stamp for stamp in found if stamp is not None}
+
+    @property
+    def most_ns(self) -> int:
+        """Nanoseconds between two images that are taken as one moment."""
+        return round(self.options.max_difference * NS_PER_S)
+
+    def pose_source(self, camera: ExportCamera) -> PoseSource | None:
+        """Returns where the camera's poses come from, and notes it where there are none."""
+        source = self._poses.of(camera)
+        if source is None:
+            what = "its frame is in no /tf and /tf_static that reach "
+            self.report.notes.append(
+                f"camera {camera.name} (frame {camera.frame_id!r}) has no poses: {what}"
+                f"{self.options.fixed_frame or 'another frame'}, and no /scene names it"
+            )
+        return source
+
+    def pictures(self, cameras: Sequence[ExportCamera]) -> Iterator[Picture]:
+        """Yields the images to take of cameras, in the order of the bag, and tells how far it is."""
+        wanted = {(camera.name, output): self.wanted(camera, output) for camera in cameras for output in camera.streams}
+        total, done = sum(len(stamps) for stamps in wanted.values()), 0
+        for picture in pictures(self.bag, cameras, self.begin_ns, self.end_ns + 1):
+            if picture.stamp_ns in wanted[picture.camera.name, picture.output]:
+                done += 1
+                self.advance(done / total)
+                yield picture

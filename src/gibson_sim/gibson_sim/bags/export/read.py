@@ -1,0 +1,277 @@
+"""What a bag has to export: its cameras, the topics of their images, and when each was taken."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.bags.reader import BagReader, header_stamp_ns, image_to_array, stamp_ns
+from gibson_sim.errors import RecordError
+
+IMAGE, COMPRESSED, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
+Kind = Literal["color", "depth", "labels", "vectors"]
+_COLORS = ("rgb8", "bgr8", "rgba8", "bgra8", "mono8")
+_DEPTHS = ("32FC1", "16UC1", "mono16")
+_VECTORS = ("32FC2", "32FC3")
+_TO_BGR = {"rgb8": cv2.COLOR_RGB2BGR, "rgba8": cv2.COLOR_RGBA2BGR, "bgra8": cv2.COLOR_BGRA2BGR, "mono8": cv2.COLOR_GRAY2BGR}
+_TRANSPORT_PARTS = (
+    "compressed",
+    "image",
+    "image_raw",
+    "image_rect",
+    "image_color",
+    "image_rect_color",
+    "image_rect_raw",
+    "image_mono",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """One topic of images."""
+
+    topic: str
+    type_name: str
+    kind: Kind
+    encoding: str
+    """Of the pixels; of a compressed image its suffix, ``jpg`` or ``png``."""
+    frame_id: str
+    width: int
+    height: int
+
+    @property
+    def folder(self) -> tuple[str, ...]:
+        """The parts of the topic's name without those that image_transport adds."""
+        parts = self.topic.strip("/").split("/")
+        while len(parts) > 1 and parts[-1] in _TRANSPORT_PARTS:
+            parts.pop()
+        return tuple(parts)
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """Intrinsics, as sensor_msgs/CameraInfo has them."""
+
+    model: str
+    """``distortion_model``."""
+    k: tuple[float, ...]
+    """Nine numbers by rows, pixels; pixel centres are at whole numbers."""
+    d: tuple[float, ...]
+
+    @property
+    def is_projective(self) -> bool:
+        """Whether K says where a direction is in the image."""
+        return len(self.k) == 9 and self.k[0] > 0.0 and self.k[4] > 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ExportCamera:
+    """Images with one frame and one lens: a colour camera, what belongs to it pixel by pixel, or a depth camera alone."""
+
+    name: str
+    """Fit for a file name."""
+    path: str
+    """Folder of its topics, without the first slash: the name of a camera of ours."""
+    frame_id: str
+    width: int
+    height: int
+    streams: dict[str, Stream]
+    """By what it is: rgb, depth, semantic, ..."""
+    lens: Lens | None
+    stamps: dict[str, NDArray[np.int64]] = field(default_factory=dict)
+    """Stamps of each stream, nanoseconds, rising."""
+
+    @property
+    def first(self) -> str:
+        """The output whose stamps count: colour where there is one."""
+        return next((output for output in ("rgb", "depth") if output in self.streams), next(iter(self.streams)))
+
+
+def find_cameras(
+    bag: BagReader, topics: Sequence[str] = (), begin_ns: int | None = None, end_ns: int | None = None
+) -> tuple[tuple[ExportCamera, ...], tuple[str, ...]]:
+    """Returns the cameras of a bag with the stamps of their images between two log times, and what was left out, a line each.
+
+    Raises:
+        RecordError: there is no image, or a topic is not in the bag.
+    """
+    infos = bag.topics()
+    unknown = [topic for topic in topics if topic not in infos]
+    if unknown:
+        raise RecordError(f"bag {bag.folder} has no topic {', '.join(unknown)}; it has {', '.join(infos)}")
+    notes: list[str] = []
+    streams = []
+    for topic, info in infos.items():
+        if info.type_name in (IMAGE, COMPRESSED) and info.count and (not topics or topic in topics):
+            found = _stream(bag, topic, info.type_name)
+            if isinstance(found, str):
+                notes.append(f"{topic} is left out: {found}")
+            else:
+                streams.append(found)
+    if not streams:
+        raise RecordError(
+            f"bag {bag.folder} has no images that can be exported" + (f" ({'; '.join(notes)})" if notes else "")
+            + ": record sensor_msgs/Image or CompressedImage topics, or draw them with `gibson-sim render`"
+        )  # fmt: skip
+    cameras = _grouped(bag, streams, notes)
+    stamps = _stamps(bag, [stream.topic for camera in cameras for stream in camera.streams.values()], begin_ns, end_ns)
+    for camera in cameras:
+        camera.stamps.update({output: stamps[stream.topic] for output, stream in camera.streams.items()})
+    return tuple(camera for camera in cameras if len(camera.stamps[camera.first])), tuple(notes)
+
+
+def _stream(bag: BagReader, topic: str, type_name: str) -> Stream | str:
+    """Returns what a topic carries, as its first message has it, or why that cannot be exported."""
+    _, _, msg = next(iter(bag.messages([topic])))
+    if type_name == COMPRESSED:
+        if topic.endswith("/compressedDepth"):
+            return "depth is exported from raw images alone; record the topic without /compressedDepth"
+        pixels = cv2.imdecode(np.frombuffer(msg.data, np.uint8), cv2.IMREAD_COLOR)
+        if pixels is None:
+            return f"its format {msg.format!r} is neither JPEG nor PNG"
+        suffix = "png" if bytes(msg.data[:4]) == b"\x89PNG" else "jpg"
+        return Stream(topic, type_name, "color", suffix, msg.header.frame_id, pixels.shape[1], pixels.shape[0])
+    kind = _kind(msg.encoding, topic)
+    if kind is None:
+        return f"encoding {msg.encoding!r} is not known: convert it to one of {', '.join((*_COLORS, *_DEPTHS, *_VECTORS))}"
+    return Stream(topic, type_name, kind, msg.encoding, msg.header.frame_id, msg.width, msg.height)
+
+
+def _kind(encoding: str, topic: str) -> Kind | None:
+    if encoding in _COLORS:
+        return "color"
+    if encoding in _VECTORS:
+        return "vectors"
+    if encoding in _DEPTHS:
+        return "depth" if encoding == "32FC1" or "depth" in topic else "labels"
+    return None
+
+
+def _grouped(bag: BagReader, streams: Sequence[Stream], notes: list[str]) -> list[ExportCamera]:
+    """Returns cameras: colour streams, each with the streams of the same frame and size whose topic is nearest; then the others."""
+    members: dict[tuple[str, ...], dict[str, Stream]] = {}
+    colors = sorted((s for s in streams if s.kind == "color"), key=lambda s: (s.type_name == COMPRESSED, s.topic))
+    for stream in colors:
+        if "rgb" in members.setdefault(stream.folder, {}):
+            notes.append(f"{stream.topic} is left out: {members[stream.folder]['rgb'].topic} shows the same")
+        else:
+            members[stream.folder]["rgb"] = stream
+    for stream in (s for s in streams if s.kind != "color"):
+        alike = [
+            folder
+            for folder, own in members.items()
+            if _common(folder, stream.folder)
+            and {(s.frame_id, s.width, s.height) for s in own.values()} == {(stream.frame_id, stream.width, stream.height)}
+        ]
+        output = "depth" if stream.kind == "depth" else stream.folder[-1]
+        parent = max(alike, key=lambda folder: _common(folder, stream.folder), default=stream.folder[:-1] or stream.folder)
+        if output in members.setdefault(parent, {}):
+            parent = stream.folder
+        members.setdefault(parent, {})[output] = stream
+    lenses = _lenses(bag)
+    return [
+        ExportCamera(
+            "_".join(folder), "/".join(folder), first.frame_id, first.width, first.height, own, _lens_of(lenses, own.values())
+        )
+        for folder, own in members.items()
+        if own
+        for first in [next(iter(own.values()))]
+    ]
+
+
+def _common(a: tuple[str, ...], b: tuple[str, ...]) -> int:
+    """Returns how many first parts two names share."""
+    return next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
+
+
+def _lenses(bag: BagReader) -> dict[str, Lens]:
+    """Returns the calibration by topic of camera_info, as its first message has it."""
+    found = {}
+    for topic, info in bag.topics().items():
+        if info.type_name == INFO and info.count:
+            _, _, msg = next(iter(bag.messages([topic])))
+            found[topic] = Lens(msg.distortion_model, tuple(map(float, msg.k)), tuple(map(float, msg.d)))
+    return found
+
+
+def _lens_of(lenses: dict[str, Lens], streams: Any) -> Lens | None:
+    """Returns the calibration beside the first stream that has one: ``camera_info`` in the same folder, as image_transport looks for it."""
+    for stream in streams:
+        parts = stream.topic.removesuffix("/compressed").split("/")
+        if (topic := "/".join((*parts[:-1], "camera_info"))) in lenses:
+            return lenses[topic]
+    return None
+
+
+def _stamps(bag: BagReader, topics: Sequence[str], begin_ns: int | None, end_ns: int | None) -> dict[str, NDArray[np.int64]]:
+    found: dict[str, list[int]] = {topic: [] for topic in topics}
+    for topic, _, data in bag.raw_messages(topics, start_ns=begin_ns, stop_ns=end_ns):
+        found[topic].append(stamp_ns(data))
+    return {topic: np.unique(np.array(stamps, dtype=np.int64)) for topic, stamps in found.items()}
+
+
+def nearest(stamps: NDArray[np.int64], stamp: int, most_ns: int) -> int | None:
+    """Returns the stamp nearest to another one; None where none is within ``most_ns``."""
+    if not len(stamps):
+        return None
+    at = int(np.searchsorted(stamps, stamp))
+    best = min((int(stamps[i]) for i in (at - 1, at) if 0 <= i < len(stamps)), key=lambda s: abs(s - stamp))
+    return best if abs(best - stamp) <= most_ns else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """One image of a camera."""
+
+    camera: ExportCamera
+    output: str
+    stamp_ns: int
+    message: Any
+
+    @property
+    def stream(self) -> Stream:
+        """The topic it came on."""
+        return self.camera.streams[self.output]
+
+    def encoded(self) -> bytes | None:
+        """Returns the bytes of its JPEG or PNG where it came as one."""
+        return bytes(self.message.data) if self.stream.type_name == COMPRESSED else None
+
+    def bgr(self) -> NDArray[np.uint8]:
+        """Returns a colour image, (H, W, 3) uint8, blue first."""
+        if self.stream.type_name == COMPRESSED:
+            return np.asarray(cv2.imdecode(np.frombuffer(self.message.data, np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)
+        pixels = image_to_array(self.message)
+        code = _TO_BGR.get(self.stream.encoding)
+        return np.asarray(pixels if code is None else cv2.cvtColor(pixels, code), dtype=np.uint8)
+
+    def metres(self) -> NDArray[np.float32]:
+        """Returns a depth image, (H, W) float32, metres as the camera measures them; 16-bit images are millimetres (REP 118)."""
+        pixels = image_to_array(self.message)
+        return np.asarray(pixels if pixels.dtype == np.float32 else pixels * np.float32(0.001), dtype=np.float32)
+
+    def array(self) -> NDArray[Any]:
+        """Returns the pixels as the message has them."""
+        return image_to_array(self.message)
+
+
+def pictures(
+    bag: BagReader, cameras: Sequence[ExportCamera], begin_ns: int | None = None, end_ns: int | None = None
+) -> Iterator[Picture]:
+    """Yields the images of cameras in the order of the bag."""
+    owners = {stream.topic: (camera, output) for camera in cameras for output, stream in camera.streams.items()}
+    for topic, _, msg in bag.messages(list(owners), start_ns=begin_ns, stop_ns=end_ns):
+        camera, output = owners[topic]
+        yield Picture(camera, output, header_stamp_ns(msg.header.stamp), msg)
+
+
+def depth_in_units(metres: NDArray[np.float32], per_metre: float) -> NDArray[np.uint16]:
+    """Returns 16-bit depth, 0 = nothing, too far for 16 bits, or not measured (REP 118)."""
+    units = np.nan_to_num(metres * np.float32(per_metre), nan=0.0, posinf=0.0, neginf=0.0).round()
+    units[(units < 0) | (units > 65535)] = 0
+    return np.asarray(units, dtype=np.uint16)

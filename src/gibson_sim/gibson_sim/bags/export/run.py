@@ -1,0 +1,35 @@
+"""Exports a bag to one of the formats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from gibson_sim.bags.export.job import ExportJob, ExportOptions, Format, Report
+from gibson_sim.bags.export.lerobot import export_lerobot
+from gibson_sim.bags.export.nerfstudio import export_nerfstudio
+from gibson_sim.bags.export.png import export_png
+from gibson_sim.bags.export.tum import export_tum
+from gibson_sim.bags.progress import Advance, no_progress
+from gibson_sim.bags.reader import BagReader
+
+_WRITERS: dict[Format, Callable[[ExportJob], None]] = {
+    "tum": export_tum,
+    "nerfstudio": export_nerfstudio,
+    "lerobot": export_lerobot,
+    "png": export_png,
+}
+
+
+def export_bag(
+    bag: str | Path, to: Format, output: str | Path, options: ExportOptions | None = None, advance: Advance = no_progress
+) -> Report:
+    """Writes a data set; returns what was written and what the bag did not have.
+
+    Raises:
+        RecordError: the bag has nothing to export, or not what the format needs; or a file cannot be written.
+    """
+    with BagReader(bag) as reader:
+        job = ExportJob(reader, Path(output), options or ExportOptions(), advance)
+        _WRITERS[to](job)
+        return job.report

@@ -1,0 +1,294 @@
+"""Mcap files: writes one chunk by chunk without copying large messages, and writes the end of one. Records: https://mcap.dev/spec."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.writer import MCAP0_MAGIC
+
+from gibson_sim.bags.metadata import TopicRecord, dump_information, dump_qos
+from gibson_sim.bags.sink import Sink
+
+Compression = Literal["none", "zstd", "lz4"]
+COMPRESSIONS: tuple[Compression, ...] = ("none", "zstd", "lz4")
+RECORD = struct.Struct("<BQ")
+"""Opcode and length of a record."""
+MESSAGE = struct.Struct("<HIQQ")
+"""Channel, sequence number, log time and publish time of a message."""
+_MESSAGE_RECORD = struct.Struct("<BQHIQQ")
+_CHUNK_TIMES = struct.Struct("<QQQI")
+_INDEX_HEAD = struct.Struct("<BQHI")
+_INDEX_ENTRY = struct.Struct("<QQ")
+_SMALL_BYTES = 32 * 1024
+"""Smaller messages are gathered in a buffer; larger ones go from their own memory to the disk."""
+
+
+@dataclass(slots=True)
+class ChunkEntry:
+    """One whole chunk of a file."""
+
+    index: ChunkIndex
+    counts: Counter[int]
+    """Messages by channel."""
+    end: int
+    """Offset in the file behind the chunk and the message indices that follow it."""
+
+
+@dataclass(slots=True)
+class DataSection:
+    """What stands in the data section of a file."""
+
+    start: int = 0
+    """Offset behind what stands before the first chunk."""
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[ChunkEntry] = field(default_factory=list)
+    metadata: list[MetadataIndex] = field(default_factory=list)
+
+    @property
+    def end(self) -> int:
+        """Offset behind the last whole chunk."""
+        return self.chunks[-1].end if self.chunks else self.start
+
+    def times_and_counts(self) -> tuple[int, int, Counter[int]]:
+        """Returns the times of the first and the last message, 0 if there is none, and the number of messages by channel."""
+        counts: Counter[int] = Counter()
+        for chunk in self.chunks:
+            counts.update(chunk.counts)
+        filled = [chunk.index for chunk in self.chunks if chunk.counts]
+        start = min((index.message_start_time for index in filled), default=0)
+        return start, max((index.message_end_time for index in filled), default=0), counts
+
+
+def end_of_file(section: DataSection, position: int, information: Mapping[str, Any]) -> bytes:
+    """Returns everything that follows the last chunk and its message indices: metadata, summary and footer.
+
+    Args:
+        section: what stands before.
+        position: offset in the file at which the result will stand.
+        information: of a bag of this file alone.
+    """
+    start, end, counts = section.times_and_counts()
+    builder = RecordBuilder()
+    Metadata(name="rosbag2", metadata={"serialized_metadata": dump_information(dict(information))}).write(builder)
+    metadata = [m for m in section.metadata if m.offset < position]
+    metadata.append(MetadataIndex(offset=position, length=builder.count, name="rosbag2"))
+    DataEnd(0).write(builder)
+    statistics = Statistics(
+        attachment_count=0,
+        channel_count=len(section.channels),
+        channel_message_counts=dict(counts),
+        chunk_count=len(section.chunks),
+        message_count=sum(counts.values()),
+        message_end_time=end,
+        message_start_time=start,
+        metadata_count=len(metadata),
+        schema_count=len(section.schemas),
+    )
+    summary_start = position + builder.count
+    groups = (
+        (Opcode.SCHEMA, list(section.schemas.values())),
+        (Opcode.CHANNEL, list(section.channels.values())),
+        (Opcode.STATISTICS, [statistics]),
+        (Opcode.CHUNK_INDEX, [chunk.index for chunk in section.chunks]),
+        (Opcode.METADATA_INDEX, metadata),
+    )
+    offsets = []
+    for opcode, records in groups:
+        group = position + builder.count
+        for record in records:
+            record.write(builder)
+        offsets.append(SummaryOffset(group_opcode=opcode, group_start=group, group_length=position + builder.count - group))
+    offset_start = position + builder.count
+    for offset in offsets:
+        offset.write(builder)
+    # A checksum of 0 means: none.
+    Footer(summary_start=summary_start, summary_offset_start=offset_start, summary_crc=0).write(builder)
+    builder.write(MCAP0_MAGIC)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
+
+
+def message_index(channel: int, messages: list[tuple[int, int]]) -> bytes:
+    """Returns the record that tells where the messages of a channel lie in a chunk: (log time, offset) of each."""
+    length = len(messages) * _INDEX_ENTRY.size
+    head = _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + length, channel, length)
+    return head + b"".join([_INDEX_ENTRY.pack(*message) for message in messages])
+
+
+class _Chunk:
+    """The chunk in hand."""
+
+    def __init__(self) -> None:
+        self.parts: list[bytes | bytearray | memoryview] = []
+        self.size = 0
+        self.start_ns = self.end_ns = 0
+        self.messages: dict[int, list[tuple[int, int]]] = {}
+        self._gathered: bytearray | None = None
+
+    def add(self, data: bytes | memoryview) -> None:
+        """Appends bytes of a record."""
+        if len(data) >= _SMALL_BYTES:
+            self.parts.append(data)
+            self._gathered = None
+        else:
+            if self._gathered is None:
+                self._gathered = bytearray()
+                self.parts.append(self._gathered)
+            self._gathered += data
+        self.size += len(data)
+
+    def add_message(self, channel: int, data: bytes | memoryview, log_time_ns: int, publish_time_ns: int) -> None:
+        """Appends one message."""
+        if not self.messages:
+            self.start_ns = log_time_ns
+        self.end_ns = log_time_ns
+        self.messages.setdefault(channel, []).append((log_time_ns, self.size))
+        length = MESSAGE.size + len(data)
+        self.add(_MESSAGE_RECORD.pack(Opcode.MESSAGE, length, channel, 0, log_time_ns, publish_time_ns))
+        self.add(data)
+
+
+class McapFile:
+    """An mcap file that is being written. A chunk that was written stays readable, whatever happens to this process."""
+
+    def __init__(self, path: Path, emergency: Path, *, chunk_bytes: int, compression: Compression) -> None:
+        """Makes the file.
+
+        Raises:
+            OSError: it cannot be made.
+        """
+        self._path = path
+        self._sink = Sink(path, emergency)
+        self._chunk_bytes, self._compression = chunk_bytes, compression
+        self._section = DataSection()
+        self._chunk = _Chunk()
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        builder = RecordBuilder()
+        builder.write(MCAP0_MAGIC)
+        Header("ros2", "gibson_sim").write(builder)
+        self._sink.write(builder.end())  # type: ignore[no-untyped-call]
+        self._section.start = self._sink.position
+
+    @property
+    def path(self) -> Path:
+        """Where it lies."""
+        return self._path
+
+    @property
+    def full(self) -> bool:
+        """The disk was full: what was written since lives on the emergency space."""
+        return self._sink.full
+
+    @property
+    def size(self) -> int:
+        """Bytes on the disk and in hand."""
+        return self._sink.position + self._chunk.size
+
+    def add_topic(self, topic: TopicRecord, definition: str) -> None:
+        """Declares a topic, with the text of its type and of all types nested in it."""
+        builder = RecordBuilder()
+        schema_id = self._schemas.get(topic.type_name)
+        if schema_id is None:
+            schema_id = self._schemas[topic.type_name] = len(self._schemas) + 1
+            schema = Schema(id=schema_id, data=definition.encode(), encoding="ros2msg", name=topic.type_name)
+            schema.write(builder)
+            self._section.schemas[schema_id] = schema
+        extra = {"offered_qos_profiles": dump_qos(topic.qos), "topic_type_hash": topic.type_hash}
+        channel_id = len(self._channels) + 1
+        channel = Channel(id=channel_id, topic=topic.name, message_encoding="cdr", metadata=extra, schema_id=schema_id)
+        channel.write(builder)
+        self._section.channels[channel_id] = channel
+        self._channels[topic.name] = channel_id
+        self._chunk.add(builder.end())  # type: ignore[no-untyped-call]
+
+    def write(self, topic: str, data: bytes | memoryview, log_time_ns: int, publish_time_ns: int) -> None:
+        """Takes one message of a declared topic."""
+        self._chunk.add_message(self._channels[topic], data, log_time_ns, publish_time_ns)
+        if self._chunk.size > self._chunk_bytes:
+            self.flush()
+
+    def flush(self) -> None:
+        """Writes the chunk in hand, if it has a message."""
+        chunk = self._chunk
+        if not chunk.messages:
+            return
+        position = self._sink.position
+        index = self._write_chunk(chunk)
+        end = position + index.chunk_length
+        indices = bytearray()
+        for channel, messages in chunk.messages.items():
+            index.message_index_offsets[channel] = end + len(indices)
+            indices += message_index(channel, messages)
+        index.message_index_length = len(indices)
+        self._sink.write(indices)
+        counts = Counter({channel: len(messages) for channel, messages in chunk.messages.items()})
+        self._section.chunks.append(ChunkEntry(index, counts, self._sink.position))
+        self._chunk = _Chunk()
+
+    def _write_chunk(self, chunk: _Chunk) -> ChunkIndex:
+        """Writes the record of the chunk; returns its index, without the message indices that follow."""
+        crc = 0
+        for part in chunk.parts:
+            crc = zlib.crc32(part, crc)
+        parts, size = chunk.parts, chunk.size
+        if self._compression != "none":
+            packed = _compress(b"".join(parts), self._compression)
+            parts, size = [packed], len(packed)
+        name = b"" if self._compression == "none" else self._compression.encode()
+        times = _CHUNK_TIMES.pack(chunk.start_ns, chunk.end_ns, chunk.size, crc)
+        body = times + struct.pack("<I", len(name)) + name + struct.pack("<Q", size)
+        position = self._sink.position
+        self._sink.write(RECORD.pack(Opcode.CHUNK, len(body) + size) + body)
+        for part in parts:
+            self._sink.write(part)
+        return ChunkIndex(
+            chunk_length=self._sink.position - position,
+            chunk_start_offset=position,
+            compression=name.decode(),
+            compressed_size=size,
+            message_end_time=chunk.end_ns,
+            message_index_length=0,
+            message_index_offsets={},
+            message_start_time=chunk.start_ns,
+            uncompressed_size=chunk.size,
+        )
+
+    def finish(self, information: Mapping[str, Any]) -> None:
+        """Writes everything that follows the messages and closes the file."""
+        self.flush()
+        # Definitions of topics that had no message yet wait in a chunk that is never written; the summary has them too.
+        self._sink.write(end_of_file(self._section, self._sink.position, information))
+        self._sink.close()
+
+    def rescue(self) -> None:
+        """Closes the file where it is."""
+        self._sink.close()
+
+
+def _compress(data: bytes, compression: Compression) -> bytes:
+    if compression == "zstd":
+        return bytes(zstandard.compress(data))
+    return bytes(lz4.frame.compress(data))

@@ -1,0 +1,26 @@
+"""A progress bar on the terminal for work on bags."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+Advance = Callable[[float], None]
+"""Told how much of the work is done, 0 to 1."""
+
+
+def no_progress(part: float) -> None:
+    """Shows nothing."""
+
+
+@contextmanager
+def progress_bar(what: str) -> Iterator[Advance]:
+    """Shows a bar on stderr while the block runs, if that is a terminal; yields what it wants to be told."""
+    console = Console(stderr=True)
+    columns = (TextColumn(what), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task(what, total=1.0)
+        yield lambda part: progress.update(task, completed=part)

@@ -1,0 +1,314 @@
+"""A recording: what of the messages that come is written where, and at which time. Knows no ROS: a node hands it bytes.
+
+The time of a message in the bag is the newest /clock, as `ros2 bag record --use-sim-time` has it. Where that runs backwards (the
+simulation was reset, or started anew), the bag is closed and the recording goes on in another one, ``<bag>_epoch1``.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from gibson_sim.bags.definitions import MessageDefinitions
+from gibson_sim.bags.mcap_file import Compression
+from gibson_sim.bags.metadata import Profile, TopicQos
+from gibson_sim.bags.reader import NS_PER_S, stamp_ns
+from gibson_sim.bags.snapshot_memory import LatchedMessages, SnapshotMemory, Stored
+from gibson_sim.bags.storage import Storage
+from gibson_sim.bags.writer import BagWriter
+from gibson_sim.config import RecordConfig
+from gibson_sim.errors import ConfigError, RecordError
+
+MOST_WAITING = 1000
+"""Messages that wait for the first clock, beside latched ones."""
+MOST_EPOCHS = 100
+"""So often may time run backwards: where two programs publish /clock, it would do so without end."""
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class _Topic:
+    """A topic that is recorded."""
+
+    type_name: str
+    qos: TopicQos
+    latched: bool
+
+
+class Recording:
+    """Writes messages to bags, at simulation time. A full disk or another error of the bag ends it: see ``error``."""
+
+    def __init__(self, config: RecordConfig) -> None:
+        """Makes the bag, unless snapshots alone are wanted.
+
+        Raises:
+            ConfigError: there is no folder to write to.
+            RecordError: the folder cannot be used.
+        """
+        if not config.output:
+            raise ConfigError("setting 'output' is empty, must be the folder of the bag")
+        self._config = config
+        self._output = Path(config.output)
+        self._definitions = MessageDefinitions()
+        self._memory: SnapshotMemory | None = None
+        self._bag: BagWriter | None = None
+        self._bags: list[Path] = []
+        if config.snapshot_seconds:
+            self._memory = SnapshotMemory(round(config.snapshot_seconds * NS_PER_S), config.snapshot_mb * 1_000_000)
+        else:
+            self._bag = self._new_bag(self._output)
+        self._topics: dict[str, _Topic] = {}
+        self._latched = LatchedMessages()
+        self._late: dict[str, bytes] = {}
+        self._waiting: list[tuple[str, bytes]] = []
+        self._unwritten = 0
+        self._now_ns: int | None = None
+        self._recorded_ns = self._epochs = 0
+        self._messages: Counter[str] = Counter()
+        self._bytes: Counter[str] = Counter()
+        self.paused = False
+        """Nothing is written, until ``resume``."""
+        self.done = False
+        """The duration has passed, or an error ended it."""
+        self.error = ""
+        """What ended it early; empty = nothing."""
+
+    @property
+    def has_clock(self) -> bool:
+        """Whether /clock came, without which nothing is written."""
+        return self._now_ns is not None
+
+    @property
+    def keeps_snapshots(self) -> bool:
+        """Whether messages are kept in memory instead of being written."""
+        return self._memory is not None
+
+    def add_topic(self, topic: str, type_name: str, profile: TopicQos | Profile | None, *, latched: bool = False) -> None:
+        """Declares a topic.
+
+        Raises:
+            RecordError: its type is unknown or cannot be recorded; the recording goes on without it.
+        """
+        record = _Topic(type_name, TopicQos.of(profile), latched)
+        if self._bag is not None:
+            self._bag.add_topic(topic, record.type_name, record.qos)
+        self._topics[topic] = record
+
+    def on_clock(self, data: bytes) -> None:
+        """Takes a message of /clock, which is recorded only if that topic was declared."""
+        now = stamp_ns(data)
+        before, self._now_ns = self._now_ns, now
+        if before is None:
+            self._write_waiting(now)
+        elif now < before:
+            self._begin_epoch(before, now)
+        elif not self.paused:
+            self._recorded_ns += now - before
+        if "/clock" in self._topics:
+            self._take("/clock", data, now)
+        if self._config.duration and self._recorded_ns >= self._config.duration * NS_PER_S:
+            self.done = True
+
+    def take(self, topic: str, data: bytes) -> None:
+        """Takes a message of a declared topic, CDR bytes."""
+        if self._now_ns is not None:
+            self._take(topic, data, self._now_ns)
+        elif self._topics[topic].latched or len(self._waiting) < MOST_WAITING:
+            # The first clock may be handed out after what came behind it.
+            self._waiting.append((topic, data))
+        else:
+            self._unwritten += 1
+
+    def pause(self) -> None:
+        """Writes nothing more for now. Latched messages that come meanwhile are written when it goes on."""
+        if not self.paused:
+            _log.info("recording is paused")
+        self.paused = True
+
+    def resume(self) -> None:
+        """Goes on."""
+        if not self.paused:
+            return
+        self.paused = False
+        _log.info("recording goes on")
+        late, self._late = self._late, {}
+        for topic, data in late.items():
+            self._put(topic, data, self._now_ns or 0)
+
+    def split(self) -> bool:
+        """Goes on in the next file of the bag; returns False if there is nothing to split."""
+        if self._bag is None or self.done:
+            return False
+        try:
+            return self._bag.split()
+        except RecordError as error:
+            self._fail(error)
+            return False
+
+    def flush(self) -> None:
+        """Hands what was written to the system, so that it outlives this process."""
+        if self._bag is not None and not self.done:
+            try:
+                self._bag.flush()
+            except RecordError as error:
+                self._fail(error)
+
+    def snapshot(self) -> Path | None:
+        """Writes what is in memory to a new bag, and keeps it; returns the bag, or None if there is nothing or no disk for it."""
+        messages = [] if self._memory is None else list(self._memory.with_latched(self._latched))
+        if not messages:
+            _log.warning("no snapshot is written: %s", "nothing came yet" if self.keeps_snapshots else "snapshot_seconds is 0")
+            return None
+        folder = self._free_folder("snapshot")
+        try:
+            with self._new_bag(folder) as bag:
+                self._declare(bag)
+                _write_all(bag, messages)
+        except RecordError as error:
+            _log.error("snapshot %s: %s", folder, error)
+            return None
+        seconds = (messages[-1][0] - messages[0][0]) / NS_PER_S
+        _log.info("snapshot %s: %d messages of %.2f s", folder, len(messages), seconds)
+        for _, topic, data in messages:
+            self._count(topic, data)
+        return folder
+
+    def close(self) -> None:
+        """Closes the bag.
+
+        Raises:
+            RecordError: its end could not be written.
+        """
+        if self._bag is not None:
+            bag, self._bag = self._bag, None
+            bag.close()
+
+    def summary(self) -> dict[str, Any]:
+        """Returns what was written, by topic."""
+        return {
+            "bag": self._config.output,
+            "bags": [str(folder) for folder in self._bags],
+            "storage": self._config.storage,
+            "messages": {topic: self._messages[topic] for topic in sorted(self._topics) if self._messages[topic]},
+            "bytes": {topic: self._bytes[topic] for topic in sorted(self._topics) if self._messages[topic]},
+            "before_clock": self._unwritten,
+            "error": self.error,
+        }
+
+    def _take(self, topic: str, data: bytes, now_ns: int) -> None:
+        record = self._topics[topic]
+        if record.latched:
+            self._latched.add(topic, record.type_name, now_ns, data)
+        if not self.paused:
+            self._put(topic, data, now_ns)
+        elif record.latched:
+            self._late[topic] = data
+
+    def _put(self, topic: str, data: bytes, now_ns: int) -> None:
+        """Writes or remembers one message; a full disk ends the recording, not the simulation."""
+        if self.done:
+            return
+        if self._memory is not None:
+            crowded = self._memory.crowded
+            if not self._topics[topic].latched:
+                self._memory.add(topic, now_ns, data)
+            if self._memory.crowded and not crowded:
+                _log.warning("snapshot_mb, %d MB, is too little for snapshot_seconds", self._config.snapshot_mb)
+            return
+        assert self._bag is not None, "the recording is closed"
+        try:
+            self._bag.write(topic, data, now_ns, now_ns)
+            self._count(topic, data)
+        except RecordError as error:
+            self._fail(error)
+
+    def _count(self, topic: str, data: bytes) -> None:
+        self._messages[topic] += 1
+        self._bytes[topic] += len(data)
+
+    def _fail(self, error: RecordError) -> None:
+        self.error, self.done = str(error), True
+        _log.error("recording ends: %s", error)
+
+    def _write_waiting(self, now_ns: int) -> None:
+        """Writes what came before the first clock, at its time."""
+        waiting, self._waiting = self._waiting, []
+        for topic, data in waiting:
+            self._take(topic, data, now_ns)
+
+    def _begin_epoch(self, before_ns: int, now_ns: int) -> None:
+        """Goes on in a bag of its own after time ran backwards, with the latched messages that still hold."""
+        self._epochs += 1
+        self._latched.restart(now_ns)
+        times = f"{before_ns / NS_PER_S:.3f} s to {now_ns / NS_PER_S:.3f} s"
+        if self._memory is not None:
+            self._memory.clear()
+            _log.info("time went back from %s: snapshots begin there", times)
+            return
+        if self.done:
+            return
+        try:
+            if self._epochs > MOST_EPOCHS:
+                raise RecordError(f"time went back {self._epochs} times, last from {times}: do two programs publish /clock?")
+            closed, folder = self._bags[-1], self._free_folder("epoch")
+            self.close()
+            self._bag = self._new_bag(folder)
+            self._declare(self._bag)
+            for _, topic, data in self._latched.messages():
+                self._put(topic, data, now_ns)
+            _log.info("time went back from %s: %s is closed, recording goes on in %s", times, closed, folder)
+        except RecordError as error:
+            self._fail(error)
+
+    def _free_folder(self, what: str) -> Path:
+        """Returns ``<output>_<what><number>`` with the first number that is free."""
+        number = 1
+        while (folder := self._output.with_name(f"{self._output.resolve().name}_{what}{number}")).exists():
+            number += 1
+        return folder
+
+    def _new_bag(self, folder: Path) -> BagWriter:
+        config = self._config
+        bag = BagWriter(
+            folder,
+            message_definitions=self._definitions,
+            storage=cast(Storage, config.storage),
+            reserve_bytes=config.reserve_mb * 1_000_000,
+            compression=cast(Compression, config.compression),
+            max_file_bytes=config.max_bag_size,
+            max_file_ns=round(config.max_bag_duration * NS_PER_S),
+        )
+        self._bags.append(folder)
+        return bag
+
+    def _declare(self, bag: BagWriter) -> None:
+        for topic, record in self._topics.items():
+            bag.add_topic(topic, record.type_name, record.qos)
+
+
+def _write_all(bag: BagWriter, messages: Iterable[Stored]) -> None:
+    for stamp, topic, data in messages:
+        bag.write(topic, data, stamp, stamp)
+
+
+def report_lines(summary: dict[str, Any]) -> list[str]:
+    """Returns the summary of a recording for a terminal: a line for each topic, and what was lost."""
+    counts, sizes = summary["messages"], summary["bytes"]
+    lost, late = summary.get("lost", {}), summary.get("message_lost", {})
+    width = max((len(topic) for topic in counts), default=0)
+    lines = [", ".join(summary["bags"]) or "no bag was written"]
+    for topic, count in counts.items():
+        known = "" if topic not in lost else "  nothing lost" if not lost[topic] else f"  LOST {lost[topic]}"
+        lines.append(f"  {topic:{width}} {count:8d} messages {sizes[topic] / 1e6:10.2f} MB{known}")
+    lines.append(f"  {'together':{width}} {sum(counts.values()):8d} messages {sum(sizes.values()) / 1e6:10.2f} MB")
+    missing = {topic: max(lost.get(topic, 0), late.get(topic, 0)) for topic in {*lost, *late}}
+    if any(missing.values()):
+        names = ", ".join(f"{topic} {count}" for topic, count in sorted(missing.items()) if count)
+        lines.append(f"WARNING: messages were lost on the way: {names}; record fewer topics, or on a faster machine or disk")
+    if summary["error"]:
+        lines.append(f"WARNING: the recording ended early: {summary['error']}")
+    return lines

@@ -1,0 +1,325 @@
+"""What of a bag a run is repeated from: settings, inputs with their steps, commands with their times, digests, the end.
+
+Pure: it knows CDR bytes, not messages. ``gibson_sim.ros.replay_node`` sends what ``InputSchedule`` hands out.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import count
+from pathlib import Path
+from sys import intern
+from typing import Any
+
+import yaml
+
+from gibson_sim.bags.digest_comparison import Tick, TickDigests
+from gibson_sim.bags.reader import BagReader, header_stamp_ns
+from gibson_sim.errors import RecordError
+from gibson_sim.types import NS_PER_S
+
+_INPUT, _DIGEST, _RUN_INFO = "gibson_msgs/msg/Input", "gibson_msgs/msg/TickDigest", "gibson_msgs/msg/RunInfo"
+_STATE, _CLOCK = "gibson_msgs/msg/SceneState", "rosgraph_msgs/msg/Clock"
+_JOURNAL_TOPIC = "inputs"
+COMMAND_TYPES: Mapping[str, tuple[str, ...]] = {
+    "cmd_vel": ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"),
+    "joint_trajectory": ("trajectory_msgs/msg/JointTrajectory",),
+    "joint_command": ("sensor_msgs/msg/JointState",),
+}
+"""Last part of a command topic's name -> types of its messages."""
+_SET_STATE, _LOAD_WORLD = "set_simulation_state", "load_world"
+_STOPPED, _PLAYING = 0, 1
+_ENDS_AN_EPOCH = ("reset_simulation", _SET_STATE, _LOAD_WORLD)
+_CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+_BEGIN_STEPS = 60
+"""A recording that begins later than so many steps is one of the middle of a run."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedInput:
+    """Something that changed the run, and the step that was the first to obey it."""
+
+    epoch: int
+    step: int
+    """Since the epoch began, before the step that obeys."""
+    name: str
+    """Topic or service, resolved."""
+    type_name: str
+    """``geometry_msgs/msg/Twist`` or ``simulation_interfaces/srv/SpawnEntity``."""
+    data: bytes
+    """CDR."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedCommand:
+    """A command as it came on its topic."""
+
+    time_ns: int
+    """Since the first clock of the bag, or its first message."""
+    name: str
+    type_name: str
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedRun:
+    """What a bag knows of its run."""
+
+    settings: Mapping[str, Mapping[str, Any]]
+    """Kind of node -> its settings; none where the bag has no ``run_info``."""
+    surroundings: Mapping[str, Mapping[str, Any]]
+    """Kind of node -> machine, versions, driver, digest of the scene."""
+    journal: tuple[RecordedInput, ...] | None
+    """In the order of their steps; None = the bag has no ``inputs``."""
+    commands: tuple[RecordedCommand, ...]
+    digests: Mapping[Tick, Sequence[TickDigests]]
+    """Empty = the run was recorded without digests."""
+    last_tick: Tick | None
+    """Epoch and step of the last tick, where messages say so."""
+    duration_ns: int
+    """From the first clock or message to the last."""
+    begins_late: bool
+    """Whether recording began in the middle of the run, so that what came before is unknown."""
+
+    def inputs(self, step_hz: int) -> tuple[RecordedInput, ...]:
+        """Returns the journal; without one, the commands as inputs at the steps of their times."""
+        if self.journal is not None:
+            return with_starts(self.journal)
+        steps = (-(-command.time_ns * step_hz // NS_PER_S) for command in self.commands)
+        return tuple(RecordedInput(0, s, c.name, c.type_name, c.data) for s, c in zip(steps, self.commands, strict=True))
+
+    def end(self, step_hz: int, publish_hz: int) -> Tick:
+        """Returns epoch and step of the tick at which the repetition ends.
+
+        Raises:
+            RecordError: the bag has nothing from which that is known.
+        """
+        if self.last_tick is not None:
+            return self.last_tick
+        ticks = step_hz // publish_hz
+        steps = self.duration_ns * step_hz // NS_PER_S // ticks * ticks
+        if not steps:
+            raise RecordError("the bag holds less than one tick of time: there is nothing to repeat")
+        epoch = self.journal[-1].epoch if self.journal else 0
+        return epoch, steps
+
+
+@dataclass(frozen=True, slots=True)
+class RunFacts:
+    """What a look at a bag tells of its run."""
+
+    settings: Mapping[str, Mapping[str, Any]]
+    """Kind of node -> its settings; none where the bag has no ``run_info``."""
+    has_journal: bool
+    has_digests: bool
+    has_commands: bool
+
+
+@dataclass(slots=True)
+class _Found:
+    """What was read so far, from all bags of a run."""
+
+    settings: dict[str, dict[str, Any]] = field(default_factory=dict)
+    surroundings: dict[str, dict[str, Any]] = field(default_factory=dict)
+    journal: list[RecordedInput] = field(default_factory=list)
+    has_journal: bool = False
+    commands: list[RecordedCommand] = field(default_factory=list)
+    digests: dict[Tick, list[TickDigests]] = field(default_factory=dict)
+    ticks: list[Tick] = field(default_factory=list)
+    """The first and the last of each bag."""
+    duration_ns: int = 0
+
+
+def parts_of(folder: Path) -> list[Path]:
+    """Returns the bags of a recording: the folder, and those in which it went on after each reset of time."""
+    parts = [folder]
+    for number in count(1):
+        part = folder.with_name(f"{folder.resolve().name}_epoch{number}")
+        if not part.is_dir():
+            return parts
+        parts.append(part)
+    return parts
+
+
+def read_facts(folder: str | Path) -> RunFacts:
+    """Returns what is known of a run without reading the whole bag.
+
+    Raises:
+        RecordError: it cannot be read.
+    """
+    found = _Found()
+    with BagReader(folder) as bag:
+        topics = bag.topics().values()
+        for _, _, message in bag.messages([t.name for t in topics if t.type_name == _RUN_INFO]):
+            _take_run_info(message, found)
+    return RunFacts(
+        found.settings,
+        has_journal=any(_is_journal(topic.name, topic.type_name) for topic in topics),
+        has_digests=any(topic.type_name == _DIGEST and topic.count for topic in topics),
+        has_commands=any(_is_command(topic.name, topic.type_name) and topic.count for topic in topics),
+    )
+
+
+def _is_journal(topic: str, type_name: str) -> bool:
+    return type_name == _INPUT and topic.rpartition("/")[2] == _JOURNAL_TOPIC
+
+
+def _is_command(topic: str, type_name: str) -> bool:
+    return type_name in COMMAND_TYPES.get(topic.rpartition("/")[2], ())
+
+
+def read_run(folder: str | Path, *, digests: bool = True) -> RecordedRun:
+    """Returns what a bag knows of its run.
+
+    Args:
+        folder: of the bag; those in which the recording went on after a reset of time are found beside it.
+        digests: whether to read digests, which takes the longest.
+
+    Raises:
+        RecordError: it cannot be read, or the run's beginning lies in another bag.
+    """
+    found = _Found()
+    for part in parts_of(Path(folder)):
+        with BagReader(part) as bag:
+            _read_part(bag, found, digests)
+    ticks = sorted(found.ticks)
+    if ticks and ticks[0][0] > 0:
+        raise RecordError(
+            f"bag {folder} begins in epoch {ticks[0][0]}, after a reset: replay the bag that the recording began with, "
+            "beside which this one lies"
+        )
+    return RecordedRun(
+        settings=found.settings,
+        surroundings=found.surroundings,
+        journal=tuple(in_order(found.journal)) if found.has_journal else None,
+        commands=tuple(found.commands),
+        digests=found.digests,
+        last_tick=ticks[-1] if ticks else None,
+        duration_ns=found.duration_ns,
+        begins_late=bool(ticks) and ticks[0][1] > _BEGIN_STEPS,
+    )
+
+
+def _read_part(bag: BagReader, found: _Found, digests: bool) -> None:
+    """Adds what one bag knows."""
+    topics = bag.topics().values()
+    types = {topic.name: topic.type_name for topic in topics if topic.count}
+    found.has_journal |= any(_is_journal(topic.name, topic.type_name) for topic in topics)
+    of_type = {kind: [name for name, type_name in types.items() if type_name == kind] for kind in set(types.values())}
+    for _, _, message in bag.messages(of_type.get(_RUN_INFO, ())):
+        _take_run_info(message, found)
+    before = set(found.journal)  # a part begins with a copy of what is latched
+    journal = bag.messages([name for name in of_type.get(_INPUT, ()) if _is_journal(name, _INPUT)])
+    inputs = (RecordedInput(m.epoch, m.step, m.name, m.type, bytes(bytearray(m.data))) for _, _, m in journal)
+    found.journal += [item for item in inputs if item not in before]
+    if not found.has_journal:
+        _read_commands(bag, types, of_type.get(_CLOCK, ()), found)
+    if digests:
+        for _, _, message in bag.messages(of_type.get(_DIGEST, ())):
+            _take_digests(message, found.digests)
+    _take_ticks(bag, of_type, found)
+    first, last = bag.span_ns
+    found.duration_ns += last - _first_clock(bag, of_type.get(_CLOCK, ()), first)
+
+
+def _take_run_info(message: Any, found: _Found) -> None:
+    """Adds the settings of a node; of several render nodes, those of the first, with the cameras of all."""
+    settings, known = yaml.safe_load(message.settings), found.settings.get(message.kind)
+    found.surroundings.setdefault(message.kind, yaml.safe_load(message.platform) | {"gibson_sim": message.version})
+    if known is None:
+        found.settings[message.kind] = settings
+    elif known.get("cameras") and settings.get("cameras") is not None:
+        wanted = dict.fromkeys((*known["cameras"].split(","), *settings["cameras"].split(",")))
+        known["cameras"] = ",".join(wanted) if settings["cameras"] else ""
+
+
+def _read_commands(bag: BagReader, types: Mapping[str, str], clocks: Sequence[str], found: _Found) -> None:
+    """Adds the commands on all topics that a robot listens to."""
+    topics = [name for name, type_name in types.items() if _is_command(name, type_name)]
+    begin_ns = _first_clock(bag, clocks, bag.span_ns[0])
+    for name, time_ns, data in bag.raw_messages(topics):
+        found.commands.append(RecordedCommand(max(0, time_ns - begin_ns), name, types[name], data))
+
+
+def _first_clock(bag: BagReader, clocks: Sequence[str], otherwise_ns: int) -> int:
+    """Returns the log time of the first clock."""
+    return next((time_ns for _, time_ns, _ in bag.raw_messages(clocks)), otherwise_ns)
+
+
+def _take_digests(message: Any, digests: dict[Tick, list[TickDigests]]) -> None:
+    topics = tuple(intern(topic) for topic in message.topics)
+    numbers = array("Q", [int(digest) for digest in message.digests])
+    tick = int(message.epoch), int(message.step)
+    digests.setdefault(tick, []).append(TickDigests(header_stamp_ns(message.header.stamp), topics, numbers))
+
+
+def _take_ticks(bag: BagReader, of_type: Mapping[str, Sequence[str]], found: _Found) -> None:
+    """Notes the first and the last tick of a bag: by its digests where it has some, else by its states."""
+    ticks = found.digests.keys() - set(found.ticks)
+    if not (ticks and of_type.get(_DIGEST)) and of_type.get(_STATE):
+        messages = bag.messages(of_type[_STATE])
+        ticks = {(int(m.epoch), int(m.epoch_step)) for _, _, m in messages if hasattr(m, "epoch_step")}
+    if ticks:
+        found.ticks += [min(ticks), max(ticks)]
+
+
+def in_order(inputs: Iterable[RecordedInput]) -> list[RecordedInput]:
+    """Returns inputs in the order of their steps; those of one step as they come, but a reset last, since an epoch ends with it."""
+    return sorted(inputs, key=lambda i: (i.epoch, i.step, i.name.endswith(_ENDS_AN_EPOCH)))
+
+
+def with_starts(journal: Sequence[RecordedInput]) -> tuple[RecordedInput, ...]:
+    """Returns a journal with a start wherever a run would stand still: after a stop, and in a world that was loaded.
+
+    Time may have passed by single steps there, which no journal holds. Other starts are left out: they change nothing.
+    """
+    found: list[RecordedInput] = []
+    for number, item in enumerate(journal):
+        service = item.name.rpartition("/")[2]
+        state = item.data[4] if service.endswith(_SET_STATE) else None
+        if state == _PLAYING:
+            continue
+        found.append(item)
+        ends_here = number + 1 == len(journal) or journal[number + 1].epoch > item.epoch
+        if ends_here and (state == _STOPPED or service.endswith(_LOAD_WORLD)):
+            prefix = item.name.removesuffix(_LOAD_WORLD).removesuffix(_SET_STATE)
+            start = replace(item, epoch=item.epoch + 1, step=0, name=f"{prefix}{_SET_STATE}")
+            type_name = "simulation_interfaces/srv/SetSimulationState"
+            found.append(replace(start, type_name=type_name, data=_CDR_LITTLE_ENDIAN + bytes([_PLAYING])))
+    return tuple(found)
+
+
+class InputSchedule:
+    """Hands out inputs some steps ahead of time, over resets too."""
+
+    def __init__(self, inputs: Sequence[RecordedInput]) -> None:
+        """Takes inputs in the order of ``in_order``."""
+        self._inputs, self._next = inputs, 0
+        self._begins = {0: 0}
+        """Epoch -> steps of all epochs before it."""
+        for item in inputs:
+            for epoch in range(max(self._begins) + 1, item.epoch + 1):
+                self._begins[epoch] = self._begins[epoch - 1]
+            # An epoch ends with the input that begins the next one.
+            self._begins[item.epoch + 1] = self._begins[item.epoch] + item.step
+
+    @property
+    def left(self) -> int:
+        """Inputs that were not handed out yet."""
+        return len(self._inputs) - self._next
+
+    def take(self, epoch: int, step: int, ahead: int) -> Sequence[RecordedInput]:
+        """Returns the inputs that were not handed out and that fewer than ``ahead`` steps after a step will obey."""
+        until, first = self._steps(epoch, step) + ahead, self._next
+        while self._next < len(self._inputs):
+            item = self._inputs[self._next]
+            if self._steps(item.epoch, item.step) >= until:
+                break
+            self._next += 1
+        return self._inputs[first : self._next]
+
+    def _steps(self, epoch: int, step: int) -> int:
+        """Returns how many steps the run has made at a step of an epoch."""
+        return self._begins.get(epoch, max(self._begins.values())) + step

@@ -1,0 +1,151 @@
+"""What drawing a recorded run again takes from its bag: which topics, which states, and when which camera is due. Pure.
+
+``gibson_sim.ros.render_bag`` draws and writes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from itertools import islice
+
+import numpy as np
+
+from gibson_sim.bags.reader import BagReader, TopicInfo, nominal_period_ns, stamp_ns
+from gibson_sim.errors import RecordError
+from gibson_sim.geometry.interpolation import interpolate_states
+from gibson_sim.sensors.schedule import images_due
+from gibson_sim.types import NS_PER_S, CameraSpec, SceneState
+
+SCENE_TYPE, STATE_TYPE, STATIC_TRANSFORMS = "gibson_msgs/msg/Scene", "gibson_msgs/msg/SceneState", "tf_static"
+_IMAGE_TYPES = (
+    "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo", "gibson_msgs/msg/LabelInfo",
+    "vision_msgs/msg/LabelInfo", "gibson_msgs/msg/TickDigest",
+)  # fmt: skip
+"""What pictures are, what describes them, and what is computed from them."""
+_CLOUD_OF_DEPTH = "/depth/points"
+_A_FEW = 20
+
+
+@dataclass(frozen=True, slots=True)
+class SceneTopics:
+    """Where a bag says what there is to draw."""
+
+    scene: str
+    state: str
+
+    @property
+    def prefix(self) -> str:
+        """What stands before the names of cameras in topics."""
+        return self.state.rpartition("/")[0] + "/"
+
+
+def scene_topics(bag: BagReader) -> SceneTopics:
+    """Returns the topics of the scene and of its states.
+
+    Raises:
+        RecordError: the bag has not both; says what to record.
+    """
+    found: list[str] = []
+    for type_name, usual in ((SCENE_TYPE, "/scene"), (STATE_TYPE, "/scene_state")):
+        topics = [topic for topic, info in bag.topics().items() if info.type_name == type_name and info.count]
+        if not topics:
+            raise RecordError(
+                f"bag {bag.folder} has no message on {usual} ({type_name}), so there is nothing to draw: record /scene and /scene_state "
+                "as well; `gibson-sim run --record DIR` does, unless --topics leaves them out"
+            )
+        found.append(usual if usual in topics else topics[0])
+    return SceneTopics(*found)
+
+
+def topics_to_copy(infos: Mapping[str, TopicInfo], copy: str, own: SceneTopics) -> tuple[str, ...]:
+    """Returns the topics that a new bag takes over as they are.
+
+    Args:
+        infos: topics of the bag.
+        copy: ``auto`` = all but images and what is made of them, ``none``, or names separated by commas.
+        own: written anew.
+
+    Raises:
+        RecordError: a topic is not in the bag.
+    """
+    if copy == "none":
+        return ()
+    if copy == "auto":
+        return tuple(topic for topic, info in infos.items() if topic not in (own.scene, own.state) and not _is_of_pictures(info))
+    names = [name.strip() for name in copy.split(",") if name.strip()]
+    unknown = [name for name in names if name not in infos]
+    if unknown:
+        raise RecordError(f"setting 'copy' names {', '.join(unknown)}; the bag has: {', '.join(infos)}")
+    return tuple(name for name in names if name not in (own.scene, own.state))
+
+
+def _is_of_pictures(info: TopicInfo) -> bool:
+    return info.type_name in _IMAGE_TYPES or info.name.endswith(_CLOUD_OF_DEPTH)
+
+
+def state_period_ns(bag: BagReader, topic: str) -> int:
+    """Returns the time between states, nanoseconds, as the first ones have it."""
+    stamps = [stamp_ns(data) for _, _, data in islice(bag.raw_messages([topic]), _A_FEW)]
+    return round(nominal_period_ns(np.array(stamps, dtype=np.int64)))
+
+
+class Schedule:
+    """Says at which states which cameras are due.
+
+    Args:
+        period_ns: between the recorded states.
+        interpolate: make states at exactly the times at which cameras are due, where none was recorded.
+    """
+
+    def __init__(self, period_ns: int, *, interpolate: bool = False) -> None:
+        self._period_ns, self._interpolate = period_ns, interpolate
+        self._before: SceneState | None = None
+
+    def moments(
+        self, state: SceneState, cameras: Sequence[CameraSpec], recorded: Sequence[int] | None = None
+    ) -> Iterator[tuple[SceneState, tuple[int, ...]]]:
+        """Yields states and the indices of the cameras that are due at each; the last is ``state``, whether one is due or not.
+
+        Args:
+            state: the next recorded one.
+            cameras: of its scene.
+            recorded: the cameras that were due at it; None = ask their rates.
+        """
+        before, self._before = self._before, state
+        follows = before is not None and before.links == state.links and before.revision == state.revision
+        if before is None or not follows or before.stamp_ns >= state.stamp_ns:
+            before = None
+        after_ns = state.stamp_ns - self._period_ns if before is None else before.stamp_ns
+        if recorded is not None:
+            yield state, tuple(k for k in recorded if k < len(cameras))
+            return
+        if self._interpolate:
+            if before is not None:
+                yield from _between(before, state, cameras)
+            yield state, tuple(k for k, c in enumerate(cameras) if state.stamp_ns in _times(after_ns, state.stamp_ns, c.rate_hz))
+        else:
+            yield state, tuple(k for k, c in enumerate(cameras) if images_due(after_ns, state.stamp_ns, c.rate_hz))
+
+
+def _between(
+    before: SceneState, state: SceneState, cameras: Sequence[CameraSpec]
+) -> Iterator[tuple[SceneState, tuple[int, ...]]]:
+    due: dict[int, list[int]] = {}
+    for number, camera in enumerate(cameras):
+        for time_ns in _times(before.stamp_ns, state.stamp_ns, camera.rate_hz):
+            due.setdefault(time_ns, []).append(number)
+    for time_ns in sorted(due):
+        if time_ns < state.stamp_ns:
+            fraction = (time_ns - before.stamp_ns) / (state.stamp_ns - before.stamp_ns)
+            yield replace(interpolate_states(before, state, fraction), stamp_ns=time_ns), tuple(due[time_ns])
+
+
+def _times(after_ns: int, until_ns: int, rate_hz: float) -> list[int]:
+    """Returns the whole multiples of 1 / rate after one time and until another, nanoseconds, cut off as stamps of ticks are."""
+    ratio = Fraction(rate_hz).limit_denominator(1000) / NS_PER_S
+    first, last = math.floor((after_ns + 1) * ratio), math.floor((until_ns + 1) * ratio)
+    times = (math.floor(k / ratio) for k in range(first, last + 1))
+    return [time_ns for time_ns in times if after_ns < time_ns <= until_ns]

@@ -1,0 +1,56 @@
+"""``gibson-sim render``: draws a recorded run again, from its recorded states, with other cameras, lights or looks."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from dataclasses import asdict, fields
+from typing import Any
+
+from gibson_sim.cli.environment import PARENT_VARIABLE, node_environment, require_nodes
+from gibson_sim.cli.options import add_settings, settings_from_args
+from gibson_sim.config import RenderBagConfig, RenderConfig
+from gibson_sim.resources import find_config
+
+_RENDER = ("egl_device", "egl_uuid", "egl_library", "detail_px", "compress_textures", "cache", "register_depth", "asset_roots")
+
+
+def add_parser(subparsers: Any) -> None:
+    """Adds the sub-command."""
+    parser = subparsers.add_parser(
+        "render",
+        help="draw a recorded run again: other cameras, outputs, lights or looks, from the recorded states, without physics",
+        description="Draws the states of a bag and writes a new bag with the images, and with everything else of the old one. "
+        "The bag must have /scene and /scene_state, as those of `gibson-sim run --record` have.",
+    )
+    parser.add_argument("bag", metavar="DIR", help="folder of the recorded bag")
+    parser.add_argument("--output", required=True, metavar="DIR", help="folder of the new bag; it must not exist, or be empty")
+    add_settings(
+        parser,
+        RenderBagConfig,
+        (
+            "cameras", "outputs", "rate", "interpolate", "lights", "randomise", "randomise_seed", "copy", "compression", "reserve_mb",
+        ),
+    )  # fmt: skip
+    parser.add_argument("--from", dest="begin", type=float, metavar="S", help="begin S seconds after the begin of the bag")
+    parser.add_argument("--to", dest="end", type=float, metavar="S", help="end S seconds after the begin of the bag")
+    add_settings(parser, RenderConfig, _RENDER)
+    parser.set_defaults(run=_run)
+
+
+def _run(args: argparse.Namespace) -> int:
+    """Replaces this process by the one that draws, which so gets the terminal, its signals and its exit code."""
+    require_nodes()
+    job = settings_from_args(RenderBagConfig, args)
+    if job.randomise:
+        find_config(job.randomise, "randomisation")
+    given = {name: getattr(args, name) for name in _RENDER if getattr(args, name) is not None}
+    render = RenderConfig(**given)
+    environment = node_environment()
+    del environment[PARENT_VARIABLE]
+    values = json.dumps({"bag": asdict(job), "render": {f.name: getattr(render, f.name) for f in fields(render)}})
+    command = [sys.executable, "-m", "gibson_sim.ros.render_bag", values]
+    sys.stdout.flush()
+    os.execve(command[0], command, environment)

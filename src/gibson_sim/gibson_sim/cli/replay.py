@@ -1,0 +1,173 @@
+"""``gibson-sim replay``: a recorded run again, from its settings and its inputs; and whether the same comes of it."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from gibson_sim.bags.digest_comparison import verification_from_json
+from gibson_sim.bags.replaying import RunFacts, read_facts
+from gibson_sim.cli.environment import domain_of, node_environment, require_nodes
+from gibson_sim.cli.exit_codes import ExitCode
+from gibson_sim.cli.job import CAMERAS, STATE_TOPIC, Job, JobRun, check_new_bag, say
+from gibson_sim.cli.options import add_settings, settings_from_args
+from gibson_sim.cli.processes import DomainLock
+from gibson_sim.cli.shared_memory import remove_dead_segments
+from gibson_sim.config import PhysicsConfig, RecordConfig, RenderConfig, ReplayConfig
+from gibson_sim.errors import ConfigError, RecordError
+from gibson_sim.resources import find_scene
+
+_PHYSICS = ("scene", "robot", "start", "rate", "seed", "randomise", "randomise_seed", "participant_timeout")
+_RENDER = ("egl_device", "egl_uuid", "egl_library", "cameras", "asset_roots", "cache")
+"""Settings that may be other than recorded. Times of a run count in its steps, so ``step_hz`` and ``publish_hz`` may not."""
+_OF_THE_RUN = ("summary_path", "wait_for", "participants", "duration", "lockstep", "digests", "start_paused", "on_timeout")
+"""Settings that say how the recorded run was started and ended, not what happened in it."""
+
+
+def add_parser(subparsers: Any) -> None:
+    """Adds the sub-command."""
+    parser = subparsers.add_parser(
+        "replay",
+        help="repeat a recorded run from its bag, and check that the same comes of it",
+        description="Starts the nodes with the settings in the bag, gives them its inputs again, and ends where the recorded run ended. "
+        "Options take the place of recorded settings.",
+    )
+    parser.add_argument("bag", metavar="DIR", help="folder of the bag")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument(
+        "--lockstep", action="store_true", help="time waits for every input: the default where the bag has the topic `inputs`"
+    )
+    how.add_argument("--free", action="store_true", help="time does not wait: the default for other bags")
+    parser.add_argument(
+        "--verify", action="store_true", help="compare the digests of every tick with the bag's; exit code 6 if they differ"
+    )
+    parser.add_argument("--no-render", action="store_true", help="physics alone, no images")
+    add_settings(parser, PhysicsConfig, _PHYSICS)
+    add_settings(parser, RenderConfig, _RENDER)
+    record = parser.add_argument_group("record")
+    record.add_argument("--record", metavar="DIR", help="record the repetition into this folder, which must not exist")
+    add_settings(record, RecordConfig, ("topics", "compression", "reserve_mb"))
+    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
+    parser.add_argument("--summary", metavar="FILE.json", help="write what was measured to this file as well")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Repeats the run; returns the exit code."""
+    require_nodes()
+    facts = read_facts(args.bag)
+    _check(args, facts)
+    environment = node_environment(domain_id=args.domain_id)
+    domain_id = domain_of(environment)
+    with tempfile.TemporaryDirectory(prefix="gibson-sim-") as temporary:
+        job = _plan(args, facts, Path(temporary))
+        lock = DomainLock(domain_id)
+        try:
+            running = JobRun(job, environment)
+            code = running.run()
+        finally:
+            remove_dead_segments()
+            lock.close()
+    return _report(running.found.get("replay", {}), code)
+
+
+def _check(args: argparse.Namespace, facts: RunFacts) -> None:
+    """Checks that there is something to repeat, and to compare with.
+
+    Raises:
+        RecordError: there is not.
+    """
+    if args.verify and not facts.has_digests:
+        raise RecordError(f"bag {args.bag} has no digests to compare with: record with `gibson-sim run --digests --record ...`")
+    if not (facts.has_journal or facts.has_commands):
+        raise RecordError(
+            f"bag {args.bag} has nothing to repeat: neither `inputs`, nor cmd_vel, joint_trajectory or joint_command of a robot"
+        )
+
+
+def _plan(args: argparse.Namespace, facts: RunFacts, folder: Path) -> Job:
+    """Returns the job.
+
+    Raises:
+        GibsonSimError: an option is impossible; nothing was started yet.
+    """
+    job = Job(folder, summary=Path(args.summary) if args.summary else None)
+    lockstep = args.lockstep or (facts.has_journal and not args.free)
+    render = not args.no_render and ("render" in facts.settings or not facts.settings)
+    waits = {STATE_TOPIC: 1 + render}
+    if args.record:
+        job.bag, job.keep_bag = Path(args.record), True
+        check_new_bag(job.bag)
+        record = {"output": str(job.bag), "summary_path": str(folder / "record.json")}
+        job.configs["record"] = settings_from_args(RecordConfig, args, duration=0.0, **record)
+        waits.update({STATE_TOPIC: waits[STATE_TOPIC] + 1, **({CAMERAS: 1} if render else {})})
+    physics = _settings(PhysicsConfig, facts.settings.get("physics", {}), args, _PHYSICS)
+    physics = {
+        **physics,
+        "lockstep": lockstep,
+        "participants": "; ".join(["replay"] + ["render"] * render) if lockstep else "",
+        "digests": args.verify or bool(args.record),
+        "wait_for": ",".join(f"{topic}:{count}" for topic, count in waits.items()),
+        "summary_path": str(folder / "physics.json"),
+    }
+    config = PhysicsConfig(**physics)
+    find_scene(config.scene)
+    job.configs["replay"] = ReplayConfig(
+        bag=args.bag,
+        lockstep=lockstep,
+        verify=args.verify,
+        images=render,
+        step_hz=config.step_hz,
+        publish_hz=config.publish_hz,
+        summary_path=str(folder / "replay.json"),
+    )
+    job.configs["physics"] = config
+    if render:  # it ends last: time, which waits for it, would complain
+        drawn = _settings(RenderConfig, facts.settings.get("render", {}), args, _RENDER)
+        drawn = {**drawn, "digests": config.digests, "summary_path": str(folder / "render.json")}
+        job.configs["render"] = RenderConfig(**drawn)
+    return job
+
+
+def _settings(cls: type[Any], recorded: Mapping[str, Any], args: argparse.Namespace, names: tuple[str, ...]) -> dict[str, Any]:
+    """Returns recorded settings with the options that take their place.
+
+    Raises:
+        ConfigError: the bag has a setting that this version does not know.
+    """
+    known = {f.name for f in fields(cls)}
+    unknown = sorted(recorded.keys() - known)
+    if unknown:
+        raise ConfigError(
+            f"the bag has settings that this version does not know: {', '.join(unknown)}; use the version that recorded it"
+        )
+    kept = {name: value for name, value in recorded.items() if name not in _OF_THE_RUN}
+    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    return {**kept, **given}
+
+
+def _report(found: Mapping[str, Any], code: int) -> int:
+    """Prints what came of the replay; returns the exit code of the command."""
+    if not found:
+        return code
+    what = "inputs at their steps" if found["journal"] or found["lockstep"] else "commands at their times"
+    say(f"replay: {found['inputs']} {what}, {'in lockstep' if found['lockstep'] else 'free'}")
+    if not found["finished"]:
+        epoch, step = found["reached"]
+        say(
+            f"replay: ended early, in epoch {epoch} at step {step}; the recorded run ended in epoch {found['end'][0]} at {found['end'][1]}"
+        )
+    if found["verification"] is None:
+        return code
+    verification = verification_from_json(found["verification"])
+    for line in verification.lines():
+        say(f"verify: {line}")
+    if not verification.is_equal:
+        for kind, other in found["other_surroundings"].items():
+            for name, (before, now) in other.items():
+                say(f"verify: {kind}: {name} is {now}, was {before}")
+    return code or (ExitCode.OK if verification.is_equal else ExitCode.REPLAY_DIFFERS)

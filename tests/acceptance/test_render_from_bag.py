@@ -1,0 +1,221 @@
+"""A recorded run is drawn again: what comes out is what the renderer draws at the recorded states, with their stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from support.simulation import require
+
+require("rclpy", "gibson_msgs")
+
+from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
+from sensor_msgs.msg import Image  # noqa: E402
+from tf2_msgs.msg import TFMessage  # noqa: E402
+
+from gibson_sim.bags.export.run import export_bag  # noqa: E402
+from gibson_sim.bags.reader import BagReader, header_stamp_ns, image_to_array  # noqa: E402
+from gibson_sim.bags.writer import BagWriter, TopicQos  # noqa: E402
+from gibson_sim.config import RenderBagConfig, RenderConfig  # noqa: E402
+from gibson_sim.errors import SceneNotFoundError  # noqa: E402
+from gibson_sim.geometry.transforms import pose_from_xyz_rpy  # noqa: E402
+from gibson_sim.render.renderer import Renderer  # noqa: E402
+from gibson_sim.robots.spec import Shape, VisualSpec  # noqa: E402
+from gibson_sim.ros import conversions  # noqa: E402
+from gibson_sim.ros.exact_bytes import exact_bytes, type_name  # noqa: E402
+from gibson_sim.ros.fast_images import image_to_bytes  # noqa: E402
+from gibson_sim.ros.render_bag import render_bag  # noqa: E402
+from gibson_sim.scenes.spec import DrawnScene, LightSpec  # noqa: E402
+from gibson_sim.types import OUTPUTS, CameraSpec, SceneState  # noqa: E402
+
+pytestmark = [pytest.mark.ros, pytest.mark.egl]
+RENDER = RenderConfig(cache="none")
+EYE = """cameras:
+  - {name: eye, link: robot/base, pose: {xyz: [0.1, 0, 0.3], rpy_deg: [0, 10, 5]}, width: 64, height: 48, rate_hz: 20,
+     outputs: [rgb, depth, semantic, instance, normal, normal_world, position, flow]}
+"""
+
+
+def _scene(revision: int, *boxes: VisualSpec) -> DrawnScene:
+    own = CameraSpec("own", "robot/base", pose_from_xyz_rpy((0.0, 0.0, 0.2), (-1.5, 0.0, -1.5)), 32, 24, rate_hz=30.0)
+    floor = VisualSpec("floor", "", Shape("box", (20.0, 20.0, 0.1)), semantic_class="floor")
+    return DrawnScene("yard", revision, "", ("robot/base",), (floor, *boxes), (own,), LightSpec())
+
+
+def _box(x: float) -> VisualSpec:
+    return VisualSpec(f"box {x}", "", Shape("box", (0.5, 0.5, 1.0)), pose_from_xyz_rpy((x, 0.3, 0.5)), semantic_class="box")
+
+
+def _state(tick: int, revision: int) -> SceneState:
+    pose = pose_from_xyz_rpy((0.01 * tick, 0.003 * tick, 0.05), (0.0, 0.0, 0.02 * tick))
+    return SceneState(
+        tick * 10**9 // 60,
+        tick,
+        revision,
+        ("robot/base",),
+        np.array([pose.position]),
+        np.array([pose.quat_xyzw]),
+        np.zeros((1, 6)),
+    )
+
+
+SCENES = {1: _scene(1, _box(2.0)), 2: _scene(2, _box(2.0), _box(3.0))}
+STATES = [_state(tick, 1 if tick < 8 else 2) for tick in range(1, 13)]
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Returns a bag of 12 states without a single image; at the eighth a box has come."""
+    folder = tmp_path_factory.mktemp("drive") / "bag"
+    with BagWriter(folder, reserve_bytes=0) as bag:
+        bag.add_topic("/scene", "gibson_msgs/msg/Scene", TopicQos.latched())
+        bag.add_topic("/scene_state", "gibson_msgs/msg/SceneState")
+        bag.add_topic("/tf_static", "tf2_msgs/msg/TFMessage", TopicQos.latched())
+        bag.add_topic("/odom", "nav_msgs/msg/Odometry")
+        transform = conversions.transform_to_msg(0, "base", "wheel", pose_from_xyz_rpy())
+        bag.write("/tf_static", serialize_message(TFMessage(transforms=[transform])), 0, 0)
+        for state in STATES:
+            if state.step in (1, 8):
+                bag.write(
+                    "/scene",
+                    serialize_message(conversions.scene_to_msg(SCENES[state.revision], state.stamp_ns)),
+                    state.stamp_ns,
+                    0,
+                )
+            message = conversions.scene_state_to_msg(state, (0,) if state.step % 2 == 0 else ())
+            bag.write("/scene_state", serialize_message(message), state.stamp_ns, state.stamp_ns)
+            bag.write("/odom", b"\x00\x01\x00\x00as it came", state.stamp_ns, state.stamp_ns)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def drawn(drive: Path) -> tuple[Path, Path]:
+    """Returns the bag drawn with its own camera, and with another one."""
+    own, other = drive.parent / "own", drive.parent / "other"
+    render_bag(RenderBagConfig(bag=str(drive), output=str(own)), RENDER)
+    (drive.parent / "eye.yaml").write_text(EYE)
+    render_bag(RenderBagConfig(bag=str(drive), output=str(other), cameras=str(drive.parent / "eye.yaml")), RENDER)
+    return own, other
+
+
+@lru_cache
+def _all_messages(bag: Path) -> dict[str, list[Any]]:
+    found: dict[str, list[Any]] = {}
+    with BagReader(bag) as reader:
+        for topic, _, msg in reader.messages([topic for topic in reader.topics() if topic != "/odom"]):
+            found.setdefault(topic, []).append(msg)
+    return found
+
+
+def _messages(bag: Path, topic: str) -> list[Any]:
+    return _all_messages(bag)[topic]
+
+
+def _expected(camera: CameraSpec, ticks: list[int]) -> list[Any]:
+    """Returns the frames that the renderer draws at ticks, each with the motion since the one before in the same scene."""
+    frames: list[Any] = []
+    with Renderer(SCENES[1], cache=None) as renderer:
+        before: SceneState | None = None
+        for state in (STATES[tick - 1] for tick in ticks):
+            if before is not None and before.revision != state.revision:
+                renderer.update(SCENES[state.revision])
+                before = None
+            frames += renderer.render(state, [camera], before)
+            before = state
+    return frames
+
+
+def test_own_cameras_are_drawn_at_the_recorded_ticks(drawn: tuple[Path, Path]) -> None:
+    ticks = [2, 4, 6, 8, 10, 12]
+    images = _messages(drawn[0], "/own/image_raw")
+    assert [header_stamp_ns(m.header.stamp) for m in images] == [STATES[tick - 1].stamp_ns for tick in ticks]
+    for message, frame in zip(images, _expected(SCENES[1].cameras[0], ticks), strict=True):
+        assert np.array_equal(image_to_array(message), frame.rgb)
+
+
+def test_all_outputs_of_another_camera_are_those_of_the_renderer(drawn: tuple[Path, Path]) -> None:
+    (scene, *_) = _messages(drawn[1], "/scene")
+    (camera,) = conversions.scene_from_msg(scene).cameras
+    frames = _expected(camera, [3, 6, 9, 12])
+    for output in OUTPUTS:
+        topic = "/eye/image_raw" if output == "rgb" else f"/eye/{output}/image_raw"
+        images = _messages(drawn[1], topic)
+        infos = _messages(drawn[1], topic.replace("image_raw", "camera_info"))
+        stamps = [header_stamp_ns(m.header.stamp) for m in images]
+        assert stamps == [frame.stamp_ns for frame in frames] == [header_stamp_ns(m.header.stamp) for m in infos]
+        for message, frame in zip(images, frames, strict=True):
+            assert np.array_equal(image_to_array(message), getattr(frame, output), equal_nan=output in ("position", "flow")), (
+                output
+            )
+
+
+def test_states_and_everything_else_are_in_the_new_bag(drive: Path, drawn: tuple[Path, Path]) -> None:
+    recorded, new = _messages(drive, "/scene_state"), _messages(drawn[1], "/scene_state")
+    assert [header_stamp_ns(m.header.stamp) for m in new] == [header_stamp_ns(m.header.stamp) for m in recorded]
+    assert all(np.abs(a.poses - b.poses).max() < 1e-6 for a, b in zip(recorded, new, strict=True))
+    assert [list(m.due_cameras) for m in new] == [[0] if tick in (3, 6, 9, 12) else [] for tick in range(1, 13)]
+    with BagReader(drive) as a, BagReader(drawn[1]) as b:
+        assert list(a.raw_messages(["/odom"])) == list(b.raw_messages(["/odom"]))
+        assert b.topics()["/eye/semantic/label_info"].latched
+    (static,) = _messages(drawn[1], "/tf_static")
+    assert [(t.header.frame_id, t.child_frame_id) for t in static.transforms] == [
+        ("base", "wheel"),
+        ("base", "eye_optical_frame"),
+    ]
+
+
+def test_the_new_bag_is_a_data_set(drawn: tuple[Path, Path], tmp_path: Path) -> None:
+    report = export_bag(drawn[1], "nerfstudio", tmp_path / "out")
+    assert "4 frames of eye" in report.lines[0]
+
+
+def test_a_part_of_the_run_has_what_was_latched_before(drive: Path, tmp_path: Path) -> None:
+    job = RenderBagConfig(bag=str(drive), output=str(tmp_path / "part"), begin=0.05, end=0.12, outputs="depth")
+    render_bag(job, RENDER)
+    assert [header_stamp_ns(m.header.stamp) for m in _messages(tmp_path / "part", "/own/depth/image_raw")] == [
+        STATES[tick - 1].stamp_ns for tick in (4, 6)
+    ]
+    assert [m.revision for m in _messages(tmp_path / "part", "/scene")] == [1]
+
+
+def test_a_missing_file_is_named_with_the_setting_that_helps(tmp_path: Path) -> None:
+    scene = _scene(1, VisualSpec("table", "", Shape("mesh", mesh="/there/table.glb")))
+    with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
+        bag.add_topic("/scene", "gibson_msgs/msg/Scene", TopicQos.latched())
+        bag.add_topic("/scene_state", "gibson_msgs/msg/SceneState")
+        bag.write("/scene", serialize_message(conversions.scene_to_msg(scene, 0)), 0, 0)
+        bag.write("/scene_state", serialize_message(conversions.scene_state_to_msg(STATES[0], (0,))), 1, 1)
+    with pytest.raises(SceneNotFoundError, match=r"/there/table\.glb .*'asset_roots'"):
+        render_bag(RenderBagConfig(bag=str(tmp_path / "bag"), output=str(tmp_path / "out")), RENDER)
+
+
+def test_bytes_end_where_the_message_ends(tmp_path: Path) -> None:
+    # No K and no D: empty sequences of float64, for which serialize_message leaves room that nothing fills.
+    camera = CameraSpec("around", "", width=8, height=4, projection="equirectangular")
+    scene = DrawnScene("yard", 1, "", ("robot/base",), (), (camera, SCENES[1].cameras[0]), LightSpec())
+    messages = {"/info": conversions.camera_info_to_msg(camera, 5), "/scene": conversions.scene_to_msg(scene, 5)}
+    with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
+        for topic, message in messages.items():
+            bag.add_topic(topic, type_name(type(message)))
+            bag.write(topic, exact_bytes(message), 5, 5)
+    with BagReader(tmp_path / "bag") as reader:
+        found = {topic: msg for topic, _, msg in reader.messages()}
+    assert found["/info"].distortion_model == "equirectangular"
+    assert conversions.scene_from_msg(found["/scene"]) == scene
+    assert deserialize_message(exact_bytes(messages["/scene"]), type(messages["/scene"])) == messages["/scene"]
+
+
+@pytest.mark.parametrize(
+    ("make", "encoding"),
+    [(lambda: np.arange(24, dtype=np.uint8).reshape(2, 4, 3), "rgb8"), (lambda: np.ones((3, 5), np.float32), "32FC1")],
+)
+def test_bytes_of_an_image_are_those_of_its_message(make: Callable[[], Any], encoding: str) -> None:
+    for frame_id in ("", "a", "ab", "abc", "abcd"):
+        message = conversions.image_to_msg(make(), encoding, 5_000_000_007, frame_id)
+        # Not the bytes themselves: DDS leaves what lies between two numbers as it was.
+        assert deserialize_message(image_to_bytes(make(), encoding, 5_000_000_007, frame_id), Image) == message

@@ -1,0 +1,230 @@
+"""The record node, with a publisher of our own in place of a simulation; and a bag's commands played into a running one."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from support.scenes import write_room
+from support.simulation import PATIENCE_S, Launched, Listener, require, wait_until
+
+require("rclpy", "gibson_msgs", "rosbag2_interfaces")
+
+from geometry_msgs.msg import Twist  # noqa: E402
+from nav_msgs.msg import Odometry  # noqa: E402
+from rclpy.duration import Duration  # noqa: E402
+from rclpy.serialization import serialize_message  # noqa: E402
+from rosbag2_interfaces.srv import IsPaused, Pause, Resume, Snapshot, SplitBagfile  # noqa: E402
+from rosbags.highlevel import AnyReader  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+from std_msgs.msg import String  # noqa: E402
+
+from gibson_sim.bags.reader import BagReader  # noqa: E402
+from gibson_sim.bags.writer import BagWriter  # noqa: E402
+from gibson_sim.cli.environment import PARENT_VARIABLE  # noqa: E402
+from gibson_sim.cli.processes import DomainLock  # noqa: E402
+from gibson_sim.ros.conversions import time_to_msg  # noqa: E402
+from support.clients import DEEP, LATCHED, Control, LaunchedNode  # noqa: E402
+
+pytestmark = pytest.mark.ros
+NS = 10**9
+
+
+class Source:
+    """Publishes what a recorder hears, and asks it for things."""
+
+    def __init__(self, listener: Listener, folder: Path) -> None:
+        self.listener, self.folder = listener, folder
+        self.control = Control(listener)
+        self._clock = listener.node.create_publisher(Clock, "/clock", DEEP)
+        self._text = listener.node.create_publisher(String, "/text", DEEP)
+        self._short = listener.node.create_publisher(String, "/short", 10)
+        self._room = listener.node.create_publisher(String, "/room", LATCHED)
+        self._room.publish(String(data="four walls"))
+        self.recorder: LaunchedNode | None = None
+
+    def record(self, **settings: Any) -> LaunchedNode:
+        """Starts a recorder that is ready."""
+        settings = {"output": self.folder / "bag", "reserve_mb": 1, "summary_path": self.folder / "summary.json", **settings}
+        parameters = [part for name, value in settings.items() for part in ("-p", f"{name}:={value}")]
+        # Without a launcher, which would tell the numbers in its place.
+        self.recorder = LaunchedNode("record", *parameters, env={PARENT_VARIABLE: ""})
+        publishers = (self._clock, self._text, self._short, self._room)
+        self.listener.spin_until(lambda: all(p.get_subscription_count() for p in publishers), "a recorder that listens")
+        self._wait_for_an_answer()
+        return self.recorder
+
+    def _wait_for_an_answer(self) -> None:
+        """Asks until the recorder answers: then it has matched us as we have matched it. An answer to a client too new is dropped."""
+        client = self.listener.node.create_client(IsPaused, "record/is_paused")
+        self.listener.spin_until(client.service_is_ready, "service is_paused")
+        asked: list[tuple[float, Any]] = []
+
+        def answered() -> bool:
+            if not asked or time.monotonic() - asked[-1][0] > 2.0:
+                asked.append((time.monotonic(), client.call_async(IsPaused.Request())))
+            return any(future.done() for _, future in asked)
+
+        self.listener.spin_until(answered, "answer of is_paused")
+
+    def wait_until_delivered(self) -> None:
+        """Returns when all that was published lies with the recorder, taken or not."""
+        for publisher in (self._clock, self._text, self._short):
+            assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE_S))
+
+    def say(self, *texts: str, at_ns: int) -> None:
+        self._clock.publish(Clock(clock=time_to_msg(at_ns)))
+        for text in texts:
+            self._text.publish(String(data=text))
+
+    def flood(self, first: int, count: int) -> None:
+        for number in range(first, first + count):
+            self._short.publish(String(data=str(number)))
+
+    def stop(self) -> dict[str, Any]:
+        """Stops the recorder and returns its summary."""
+        assert self.recorder is not None
+        assert self.recorder.stop() == 0, "\n".join(self.recorder.lines)
+        summary: dict[str, Any] = json.loads((self.folder / "summary.json").read_text())
+        return summary
+
+
+@pytest.fixture
+def source(ros_domain: int, listener: Listener, tmp_path: Path) -> Iterator[Source]:
+    lock = DomainLock(ros_domain)  # no simulation of another test run may come into this domain
+    source = Source(listener, tmp_path)
+    yield source
+    lock.close()
+    if source.recorder is not None:
+        source.recorder.kill()
+        print("\n".join(source.recorder.lines))
+
+
+def _texts(folder: Path, topic: str = "/text") -> list[tuple[int, str]]:
+    """Returns time and text of a topic's messages."""
+    with AnyReader([folder]) as reader:
+        connections = [c for c in reader.connections if c.topic == topic]
+        return [(t, reader.deserialize(data, c.msgtype).data) for c, t, data in reader.messages(connections)]
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_everything_sent_before_the_end_is_in_the_bag_in_its_order(source: Source, storage: str) -> None:
+    recorder = source.record(storage=storage)
+    expected = []
+    for step in range(300):
+        texts = [f"{step} a", f"{step} b"]
+        source.say(*texts, at_ns=step)
+        expected += [(step, text) for text in texts]
+    source.wait_until_delivered()
+    summary = source.stop()
+    assert _texts(source.folder / "bag") == expected, "each message at the clock that was sent before it"
+    assert _texts(source.folder / "bag", "/room") == [(0, "four walls")]
+    assert (summary["messages"]["/text"], summary["lost"]["/text"], summary["message_lost"]) == (600, 0, {})
+    assert any("/text" in line and "600 messages" in line and "nothing lost" in line for line in recorder.lines)
+
+
+def test_messages_that_never_came_are_counted_and_told(source: Source) -> None:
+    recorder = source.record()
+    source.say(at_ns=1)
+    source.flood(0, 5)
+    os.kill(recorder.process.pid, signal.SIGSTOP)
+    source.flood(5, 4000)  # far more than the publisher keeps for a reader that stands still
+    os.kill(recorder.process.pid, signal.SIGCONT)
+    source.flood(4005, 5)
+    source.wait_until_delivered()
+    summary = source.stop()
+    numbers = [int(text) for _, text in _texts(source.folder / "bag", "/short")]
+    assert summary["lost"]["/short"] == numbers[-1] - numbers[0] + 1 - len(numbers) > 0
+    assert any("WARNING: messages were lost on the way: /short" in line for line in recorder.lines)
+
+
+def test_services_pause_resume_and_split(source: Source) -> None:
+    source.record()
+    call = source.control.call
+    source.say("first", at_ns=1)
+    call(SplitBagfile, "record/split_bagfile", SplitBagfile.Request())
+    assert not call(IsPaused, "record/is_paused", IsPaused.Request()).paused
+    call(Pause, "record/pause", Pause.Request())
+    assert call(IsPaused, "record/is_paused", IsPaused.Request()).paused
+    source.say("not recorded", at_ns=2)
+    call(Resume, "record/resume", Resume.Request())
+    assert not call(IsPaused, "record/is_paused", IsPaused.Request()).paused
+    source.say("last", at_ns=3)
+    source.stop()
+    assert _texts(source.folder / "bag") == [(1, "first"), (3, "last")]
+    assert len(list((source.folder / "bag").glob("*.mcap"))) == 2
+
+
+def test_snapshot_writes_the_last_seconds_again_and_again(source: Source) -> None:
+    source.record(snapshot_seconds=2.0)
+    for second in range(5):
+        source.say(str(second), at_ns=second * NS)
+    assert source.control.call(Snapshot, "record/snapshot", Snapshot.Request()).success
+    source.say("5", at_ns=5 * NS)
+    assert source.control.call(Snapshot, "record/snapshot", Snapshot.Request()).success
+    source.stop()
+    assert _texts(source.folder / "bag_snapshot1") == [(second * NS, str(second)) for second in (2, 3, 4)]
+    assert _texts(source.folder / "bag_snapshot2") == [(second * NS, str(second)) for second in (3, 4, 5)]
+    assert _texts(source.folder / "bag_snapshot2", "/room") == [(3 * NS, "four walls")]
+
+
+def test_recording_goes_on_in_another_bag_after_a_reset(source: Source) -> None:
+    recorder = source.record()
+    source.say("before", at_ns=5 * NS)
+    source.say("after", at_ns=0)
+    summary = source.stop()
+    assert _texts(source.folder / "bag") == [(5 * NS, "before")]
+    assert _texts(source.folder / "bag_epoch1") == [(0, "after")]
+    assert _texts(source.folder / "bag_epoch1", "/room") == [(0, "four walls")]
+    assert len(summary["bags"]) == 2
+    assert sum("time went back from 5.000 s to 0.000 s" in line for line in recorder.lines) == 1
+
+
+def test_recorder_that_cannot_start_says_why(ros_domain: int, tmp_path: Path) -> None:
+    (tmp_path / "bag").write_text("mine")
+    recorder = LaunchedNode("record", "-p", f"output:={tmp_path / 'bag'}")
+    assert recorder.wait() == 1
+    assert any(line.startswith("error: bag folder") and "choose a folder" in line for line in recorder.lines)
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., Launched]]:
+    """Starts a command that is ended after the test."""
+    runs: list[Launched] = []
+
+    def begin(*options: str) -> Launched:
+        runs.append(Launched(*options))
+        return runs[-1]
+
+    yield begin
+    for run in runs:
+        run.stop()
+        print("\n".join(run.lines))
+
+
+def test_commands_of_a_bag_drive_a_running_robot(start: Callable[..., Launched], listener: Listener, tmp_path: Path) -> None:
+    """As `ros2 bag play --topics /cmd_vel` does: a bag's bytes, published at the pace of its times."""
+    command = Twist()
+    command.linear.x = 0.3
+    with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
+        bag.add_topic("/cmd_vel", "geometry_msgs/msg/Twist")
+        for i in range(21):
+            bag.write("/cmd_vel", serialize_message(command), i * NS // 10, i * NS // 10)
+    start("run", "--no-render", "--scene", str(write_room(tmp_path / "room")))
+    odometry = listener.collect(Odometry, "odom", DEEP)
+    publisher = listener.node.create_publisher(Twist, "/cmd_vel", 10)
+    listener.spin_until(lambda: bool(odometry and publisher.get_subscription_count()), "a robot")
+    before = odometry[-1].pose.pose.position.x
+    with BagReader(tmp_path / "bag") as reader:
+        begin = time.monotonic()
+        for _, stamp_ns, data in reader.raw_messages(["/cmd_vel"]):
+            wait_until(lambda due=begin + stamp_ns / NS: time.monotonic() >= due, "time to play the next message")
+            publisher.publish(bytes(data))
+    listener.spin_until(lambda: odometry[-1].pose.pose.position.x > before + 0.3, "a robot that followed the bag")

@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+from gibson_sim.bags.losses import Losses
+
+
+def _noted(*numbers: int | None) -> dict[str, int]:
+    losses = Losses()
+    for number in numbers:
+        losses.note("/a", number)
+    return losses.counts()
+
+
+def test_every_missing_number_is_a_lost_message() -> None:
+    assert _noted(17, 18, 21, 22, 24) == {"/a": 3}
+
+
+def test_what_was_sent_before_the_first_that_came_is_not_lost() -> None:
+    assert _noted(500, 501) == {"/a": 0}
+
+
+def test_publisher_that_was_started_anew_lost_nothing() -> None:
+    assert _noted(7, 8, 1, 2) == {"/a": 0}
+
+
+def test_middleware_without_numbers_says_nothing() -> None:
+    assert _noted(None, None) == {}
+
+
+def test_nothing_is_known_of_a_topic_with_two_publishers() -> None:
+    losses = Losses()
+    losses.note("/a", 1)
+    losses.note("/b", 1)
+    losses.note_publishers("/a", 2)
+    losses.note_publishers("/b", 1)
+    losses.note_publishers("/a", 1)
+    losses.note("/a", 9)
+    assert losses.counts() == {"/b": 0}
