@@ -41,7 +41,20 @@ def test_dead_segments_go_and_living_ones_stay(tmp_path: Path) -> None:
         fcntl.flock(a, fcntl.LOCK_EX)
         fcntl.flock(b, fcntl.LOCK_EX)
         remove_dead_segments(tmp_path)
-        assert {p.name for p in tmp_path.iterdir()} == {*alive, "somebody_else_el"}
+        # The lock file of a port is used again by the next who opens that port.
+        assert {p.name for p in tmp_path.iterdir()} == {*alive, "fastrtps_port7001_el", "somebody_else_el"}
+
+
+def test_locks_are_not_tried_while_somebody_may_be_taking_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who starts, and finds its lock taken for an instant, has no shared memory; whose lock file is gone, is taken for dead."""
+    tried: list[Path] = []
+    for name in ("fastrtps_port7003", "fastrtps_port7003_el", "fastrtps_new", "fastrtps_new_el"):
+        (tmp_path / name).touch()
+    monkeypatch.setattr(shared_memory, "_remove", lambda guarded, lock: tried.append(lock) or [])
+    with (tmp_path / "fastrtps_port7003_el").open("r+") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        assert shared_memory._sweep(tmp_path) == ([], True), "the one is held, the other too young"
+    assert not tried
 
 
 def test_port_that_gets_its_lock_while_we_look_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -87,7 +87,7 @@ class JobRun:
                 self._restarts += 1
                 say(f"the render node ended with code {code} ({node.last_error()}): starting it again")
                 self._nodes[name] = NodeProcess(name, self._job.configs[name], self._environment)
-            elif name == "record":
+            elif name == "record" and code != USER_ERROR:
                 say(f"error: the recording ended early: {node.last_error()}; the simulation goes on")
                 self._code = ExitCode.RECORDING_ENDED_EARLY
             else:
@@ -143,7 +143,7 @@ def _summary_lines(found: dict[str, dict[str, Any]], restarts: int) -> list[str]
         lines.append(f"render: started again {restarts} times")
     if b := found["record"]:
         lines.append(
-            f"record: {sum(b['messages'].values())} messages on {len(b['messages'])} topics"
+            f"record: {sum(b['messages'].values())} messages on {len(b['messages'])} topics, {sum(b['lost'].values())} lost"
             + (f", {b['error']}" if b["error"] else "")
         )
     return lines

@@ -69,8 +69,12 @@ def add_parser(subparsers: Any) -> None:
     drive = parser.add_argument_group("drive")
     add_settings(drive, DriveConfig, ("drive", "length", "linear", "angular", "stamped"))
     record = parser.add_argument_group("record")
-    record.add_argument("--record", metavar="DIR", help="record a rosbag2 bag (mcap) into this folder, which must not exist")
-    add_settings(record, RecordConfig, ("topics", "compression", "reserve_mb"))
+    record.add_argument("--record", metavar="DIR", help="record a rosbag2 bag into this folder, which must not exist")
+    add_settings(
+        record,
+        RecordConfig,
+        ("topics", "storage", "compression", "max_bag_size", "max_bag_duration", "flush_period", "reserve_mb"),
+    )
     record.add_argument("--video", metavar="FILE.mp4", help="make a video and, beside it, a contact sheet PNG of RGB and depth")
     record.add_argument("--snapshot", metavar="DIR", help="write one PNG of each image of every camera, then stop")
     parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")

@@ -1,8 +1,12 @@
 """Shared-memory files that a killed node left behind.
 
 Fast DDS makes, for each segment or port ``x`` in ``/dev/shm``, the files ``fastrtps_x``, a lock file ``fastrtps_x_el`` that its owner
-holds by flock for as long as it lives, and for ports ``sem.fastrtps_x_mutex``. A lock that we can take belongs to the dead. A process
-that ends after its peer was killed leaves a port without its lock file: dead as well, unless it is being made at this very moment.
+holds by flock for as long as it lives, and for ports ``sem.fastrtps_x_mutex``. A process that ends after its peer was killed leaves a port
+without its lock file: dead as well, unless it is being made at this very moment.
+
+A participant that starts cannot take a lock that we hold, be it for an instant, and one whose lock file was taken away is taken for dead
+by all others. So the kernel's list of locks is asked first; we try a lock only if nobody holds it and it is not new, keep it while we
+remove what it guards, and leave the lock file of a port, which is used again, where it is.
 """
 
 from __future__ import annotations
@@ -30,42 +34,70 @@ def remove_dead_segments(folder: Path = FOLDER) -> list[Path]:
 
 
 def _sweep(folder: Path) -> tuple[list[Path], bool]:
-    """Removes what is dead now; returns what was removed, and whether there are ports too young to judge."""
-    removed, young = [], False
+    """Removes what is dead now; returns what was removed, and whether something looks dead but is too young to judge."""
+    removed, young, held = [], False, _locked_files()
     for base in sorted({p.with_name(p.name.removesuffix("_el")) for p in folder.glob("fastrtps_*")}):
-        lock = base.with_name(f"{base.name}_el")
-        if lock.exists():
-            dead = _is_free(lock)
+        lock, mutex, is_port = base.with_name(f"{base.name}_el"), base.with_name(f"sem.{base.name}_mutex"), "_port" in base.name
+        if not lock.exists():
+            guarded = [base, mutex] if is_port else []
+        elif _file_of(lock) in held:
+            continue
         else:
-            is_port = "_port" in base.name
-            dead = is_port and _age_s(base) >= SETTLED_S
-            young = young or (is_port and not dead)
-        for path in (base, base.with_name(f"sem.{base.name}_mutex"), lock) if dead else ():
-            try:
-                path.unlink()
-                removed.append(path)
-            except (FileNotFoundError, PermissionError):
-                continue
+            guarded = [base, mutex] if is_port else [base, lock]
+        if not any(path.exists() for path in guarded):
+            continue
+        if max(_changed_s(base), _changed_s(lock)) > time.time() - SETTLED_S:
+            young = True
+        else:
+            removed += _remove(guarded, lock)
     return removed, young
 
 
-def _is_free(lock: Path) -> bool:
-    """Returns whether nobody holds the lock file; someone else's file that we may not open counts as held."""
+def _remove(guarded: list[Path], lock: Path) -> list[Path]:
+    """Removes files while holding the lock that guards them, if there is one; returns which. None where somebody holds it."""
     try:
         descriptor = os.open(lock, os.O_RDWR | os.O_CLOEXEC)
-    except OSError:
-        return False
+    except FileNotFoundError:
+        return [path for path in guarded if _unlink(path)]
+    except OSError:  # someone else's
+        return []
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return True
+        return [path for path in guarded if _unlink(path)]
     except OSError:
-        return False
+        return []
     finally:
         os.close(descriptor)
 
 
-def _age_s(path: Path) -> float:
+def _unlink(path: Path) -> bool:
     try:
-        return time.time() - path.stat().st_ctime
+        path.unlink()
+    except (FileNotFoundError, PermissionError):
+        return False
+    return True
+
+
+def _locked_files() -> frozenset[tuple[int, int]]:
+    """Returns (device, inode) of the files that any process we can see holds a lock on."""
+    try:
+        lines = Path("/proc/locks").read_text().splitlines()
+    except OSError:
+        return frozenset()
+    places = [field.split(":") for line in lines for field in line.split() if field.count(":") == 2]
+    return frozenset((os.makedev(int(major, 16), int(minor, 16)), int(inode)) for major, minor, inode in places)
+
+
+def _file_of(path: Path) -> tuple[int, int]:
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return -1, -1
+    return found.st_dev, found.st_ino
+
+
+def _changed_s(path: Path) -> float:
+    try:
+        return path.stat().st_ctime
     except FileNotFoundError:
         return 0.0

@@ -44,7 +44,7 @@ from gibson_sim.simulation.simulator import Simulator
 from gibson_sim.simulation.states import SimulationState
 from gibson_sim.types import NS_PER_S, CameraSpec, SceneState
 
-_MOST_TICKS_OF_LOCKSTEP = 16
+_MOST_TICKS_OF_LOCKSTEP = 64
 """Ticks that nobody answers to, made in one turn."""
 WAIT_LIMIT_S = 120.0
 DISCOVERY_S, LATE_DISCOVERY_S = 3.0, 10.0
@@ -211,6 +211,8 @@ class PhysicsNode(Node):
         executor.add_node(self)
         self._wait_for_subscribers(executor)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
+        if self._gate is not None and self._stamped is not None:
+            self._stamped.wake = partial(executor.create_task, self._on_tick_done)
         self._set_timer()
         self.create_timer(1.0, self._publish_diagnostics, clock=steady)
         self._young_until = time.monotonic() + LATE_DISCOVERY_S
@@ -240,8 +242,8 @@ class PhysicsNode(Node):
             self.destroy_timer(self._timer)
         rate = self._config.rate
         period = min(1.0 / (self._config.clock_hz * rate), 0.01) if rate else 1e-5
-        if self._gate is not None:
-            period = max(period, 1e-3)  # what it waits for wakes it; turning meanwhile would take the processor from those
+        if self._gate is not None and not rate:
+            period = 0.005  # what it waits for wakes it; turning meanwhile would take the processor from those
         self._timer = self.create_timer(period, self._turn, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _turn(self) -> None:

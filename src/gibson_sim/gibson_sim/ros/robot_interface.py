@@ -80,6 +80,9 @@ class RobotInterface:
                 (JointState, names.JOINT_COMMAND),
             )
         ]
+        every_tick = (names.ODOM, names.GROUND_TRUTH, names.JOINT_STATES)
+        self._short_names = {name: self._resolved(name).lstrip("/") for name in (*every_tick, *self._sensor_pubs)}
+        self._every_tick = {self._short_names[name] for name in every_tick}
         self.truth_topic = self._resolved(names.GROUND_TRUTH)
         self.command_topics = frozenset(map(self._resolved, (names.CMD_VEL, names.JOINT_TRAJECTORY, names.JOINT_COMMAND)))
         self._stamped = stamped
@@ -107,13 +110,7 @@ class RobotInterface:
     def topics_of_tick(self, measured: Measurements) -> set[str]:
         """Returns what was published at a tick at which this was measured; without a leading slash."""
         kinds = (measured.scans, measured.clouds, measured.imus, measured.bumpers, measured.batteries)
-        found = (
-            names.ODOM,
-            names.GROUND_TRUTH,
-            names.JOINT_STATES,
-            *(reading.name for readings in kinds for reading in readings),
-        )
-        return {self._resolved(name).lstrip("/") for name in found}
+        return self._every_tick | {self._short_names[reading.name] for readings in kinds for reading in readings}
 
     def _publisher(self, kind: type[Any], topic: str, profile: Any) -> Publisher:
         publisher = self._node.create_publisher(kind, topic, **qos.overridable(profile))

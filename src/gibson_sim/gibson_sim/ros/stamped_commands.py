@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from threading import Thread
 from typing import Any
 
@@ -23,6 +24,8 @@ class StampedCommands:
     def __init__(self, node: Node) -> None:
         self._owner = node
         self._arrived: deque[str] = deque()
+        self.wake: Callable[[], Any] = lambda: None
+        """Is called in the thread of this class when something arrived."""
         self._context = rclpy.Context()
         self._context.init(domain_id=node.context.get_domain_id())
         self._node = Node(
@@ -44,6 +47,7 @@ class StampedCommands:
         def take(msg: Any) -> None:
             commands.append((topic, msg))
             self._arrived.append(topic)
+            self.wake()
 
         return self._node.create_subscription(kind, topic, take, qos.COMMAND)
 
