@@ -15,7 +15,7 @@ from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import Imu, JointState  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
-from gibson_msgs.msg import SceneState as RosSceneState  # noqa: E402
+from gibson_msgs.msg import SceneState as RosSceneState, TickDone  # noqa: E402
 from gibson_sim.ros import conversions  # noqa: E402
 from gibson_sim.ros.fast_publish import (  # noqa: E402
     FastClock,
@@ -24,6 +24,7 @@ from gibson_sim.ros.fast_publish import (  # noqa: E402
     FastOdometry,
     FastSceneState,
     FastTf,
+    FastTickDone,
 )
 from gibson_sim.types import JointStates, Odometry, Pose, SceneState  # noqa: E402
 from support.messages import ground_truth_to_msg, joint_states_to_msg, odometry_to_msg  # noqa: E402
@@ -125,6 +126,15 @@ def test_scene_state_is_bit_equal(links: int, due: tuple[int, ...]) -> None:
     message = conversions.scene_state_to_msg(state, due, 2, 2**40)
     assert isinstance(message, RosSceneState)
     _same(message, FastSceneState("map", links).serialize(state, due, 2, 2**40))
+
+
+@pytest.mark.parametrize("sent", [(), ("/cmd_vel",), ("/left/cmd_vel", "/inputs_at", "/inputs_at")])
+@pytest.mark.parametrize("name", ["a", "left/controller"])
+def test_a_tick_that_is_done_is_bit_equal(name: str, sent: tuple[str, ...]) -> None:
+    message = TickDone(event=TickDone.DONE, participant=name, stamp=conversions.time_to_msg(STAMP_NS))
+    message.sent = list(sent)
+    stamp = message.stamp
+    _same(message, FastTickDone(TickDone.DONE, name, sent).serialize(stamp.sec, stamp.nanosec))
 
 
 def test_state_with_another_number_of_links_is_refused() -> None:

@@ -275,6 +275,32 @@ class FastSceneState:
         return self._pack(*values) + struct.pack(f"<{count + 1}I", count, *due_cameras)
 
 
+class FastTickDone:
+    """gibson_msgs/TickDone that says DONE.
+
+    Args:
+        event: TickDone.DONE.
+        participant: Who says so.
+        sent: Topics on which commands were sent.
+    """
+
+    def __init__(self, event: int, participant: str, sent: Sequence[str]) -> None:
+        layout = _Layout()
+        layout.number("B", event)
+        layout.string(participant)
+        layout.places("iI")
+        layout.string("")
+        layout.number("I", len(sent))
+        for topic in sent:
+            layout.string(topic)
+        self._pack, self._constants = layout.finish()
+
+    def serialize(self, sec: int, nanosec: int) -> bytes:
+        """Returns the message of a tick, which is named by its stamp."""
+        before, after = self._constants
+        return self._pack(before, sec, nanosec, after)
+
+
 class RelativePoses:
     """Poses of links in the frames of other links.
 

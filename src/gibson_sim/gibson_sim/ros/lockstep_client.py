@@ -10,7 +10,7 @@ from rclpy.node import Node
 
 from gibson_msgs.msg import TickDone
 from gibson_sim.ros import names, qos
-
+from gibson_sim.ros.fast_publish import FastTickDone
 
 MATCHING_S = 3.0
 """Within so long those who are known to listen to a new publisher can hear it."""
@@ -38,6 +38,7 @@ class LockstepParticipant:
             node: who takes part; it must listen to what it waits for by now.
             after: topic whose ticks count; ``cameras`` = ticks at which a camera is due; empty = every tick.
         """
+        self._messages: dict[tuple[str, ...], FastTickDone] = {}
         self.name = node.get_fully_qualified_name().lstrip("/")
         self._publisher = node.create_publisher(TickDone, names.TICK_DONE, qos.TICK_DONE)
         self._publisher.publish(TickDone(event=TickDone.JOIN, participant=self.name, after=after))
@@ -54,10 +55,12 @@ class LockstepParticipant:
             stamp: builtin_interfaces/Time, that of what the tick was known by.
             sent: topics on which commands were sent in this tick, once for each command: they count before time goes on.
         """
-        if self.is_heard:
-            message = TickDone(event=TickDone.DONE, participant=self.name, stamp=stamp)
-            message.sent = list(sent)
-            self._publisher.publish(message)
+        if not self.is_heard:
+            return
+        message = self._messages.get(tuple(sent))
+        if message is None:
+            message = self._messages[tuple(sent)] = FastTickDone(TickDone.DONE, self.name, sent)
+        self._publisher.publish(message.serialize(stamp.sec, stamp.nanosec))
 
     def leave(self) -> None:
         """Takes part no longer."""
