@@ -28,8 +28,19 @@ setup:
 run: setup
 	@'$(BIN)/gibson-sim' run $(ARGS)
 
+# Tests with nodes in processes of their own come one after the other: they need the machine, and a ROS domain, for themselves.
+NODES := tests/ros tests/acceptance
+
+ifeq ($(strip $(PYTEST_ARGS)),)
+test: setup
+	@code=0; \
+	'$(BIN)/python' -m pytest -n auto --maxprocesses 4 --dist loadfile $(NODES:%=--ignore=%) || code=$$?; \
+	'$(BIN)/python' -m pytest $(NODES) || code=$$?; \
+	exit $$code
+else
 test: setup
 	@'$(BIN)/python' -m pytest $(PYTEST_ARGS)
+endif
 
 lint: setup
 	@'$(BIN)/ruff' check $(CODE)

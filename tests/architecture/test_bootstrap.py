@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -63,6 +64,18 @@ def test_step_is_redone_when_a_message_changes(bootstrap: ModuleType, tmp_path: 
     assert bootstrap.digest([tmp_path]) == before
     (tmp_path / "A.msg").write_text("int64 a\n")
     assert bootstrap.digest([tmp_path]) != before
+
+
+def test_every_pin_is_a_package_and_each_is_there_once(bootstrap: ModuleType) -> None:
+    names = [line.partition("==")[0] for line in bootstrap.pins() if ";" not in line]
+    assert all(re.fullmatch("[a-z0-9-]+", name) for name in names)
+    assert len(names) == len(set(names))
+
+
+def test_messages_for_python_alone_are_built_where_cmake_is_told_to_look(bootstrap: ModuleType) -> None:
+    assert (bootstrap.PYTHON_ONLY / "rosidl_default_generatorsConfig.cmake").is_file()
+    assert bootstrap.PYTHON_ONLY.is_relative_to(bootstrap.INTERFACES[1]), "a change of it builds the messages again"
+    assert not list(bootstrap.PYTHON_ONLY.glob("package.xml")), "colcon finds no package in it"
 
 
 def test_another_ros_installation_stays_outside(bootstrap: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,8 +18,9 @@ import pytest
 
 from support.simulation import Launched, Listener, require
 
-require("rclpy", "gibson_msgs")
+require("rclpy", "gibson_msgs", "simulation_interfaces")
 
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from geometry_msgs.msg import Twist, TwistStamped  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data  # noqa: E402
@@ -30,6 +31,7 @@ from tf2_msgs.msg import TFMessage  # noqa: E402
 from gibson_msgs.msg import Scene  # noqa: E402
 from gibson_sim.ros.conversions import array_from_image  # noqa: E402
 from gibson_sim.types import OUTPUTS  # noqa: E402
+from support.clients import DEEP, Control  # noqa: E402
 
 pytestmark = pytest.mark.ros
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -42,6 +44,14 @@ def sim(ros_domain: int) -> Iterator[Launched]:
     launched.wait_for_line("triangles")
     yield launched
     assert launched.stop() == 0, "\n".join(launched.lines)
+
+
+@pytest.fixture
+def control(sim: Launched, listener: Listener) -> Iterator[Control]:
+    """The services of the simulation; afterwards it plays again."""
+    services = Control(listener)
+    yield services
+    services.play()
 
 
 def _stamps(messages: list[object]) -> list[int]:
@@ -159,22 +169,31 @@ def test_command_that_is_not_a_number_is_refused_and_the_robot_stays(
     assert math.hypot(after.x - before.x, after.y - before.y) < 0.001
 
 
-def test_robot_stops_when_commands_cease(sim: Launched, listener: Listener) -> None:
-    odometry = listener.collect(Odometry, "odom", 50)
+def test_robot_stops_when_commands_cease(sim: Launched, listener: Listener, control: Control) -> None:
+    odometry = listener.collect(Odometry, "odom", DEEP)
     publisher = listener.node.create_publisher(Twist, "cmd_vel", 1)
-    listener.spin_until(lambda: publisher.get_subscription_count() > 0, "a simulation that listens")
+    listener.spin_until(lambda: publisher.get_subscription_count() > 0 and bool(odometry), "a simulation that listens")
     turn = Twist()
     turn.angular.z = 0.5
+    # Steps, not wall time, lie between the last command and the stop.
+    control.pause()
 
     def turning() -> bool:
+        if odometry[-1].twist.twist.angular.z > 0.4:
+            return True
         publisher.publish(turn)
-        return bool(odometry) and odometry[-1].twist.twist.angular.z > 0.4
+        control.step(12)
+        return False
 
     listener.spin_until(turning, "a turning robot")
-    started = _stamps(odometry)[-1]
-    listener.spin_until(lambda: abs(odometry[-1].twist.twist.angular.z) < 0.01, "a robot at rest")
+    reports = listener.collect(DiagnosticArray, "/diagnostics")
+    listener.spin_until(lambda: len(reports) > 2, "rest: all commands have arrived")
+    last = _stamps(odometry)[-1]
+    control.step(240)
+    listener.spin_until(lambda: _stamps(odometry)[-1] - last >= 0.98e9, "a second")
+    turns = [m.twist.twist.angular.z for m in odometry if _stamps([m])[0] - last >= 0.9e9]
     # 0.5 s until the command is stale, then 0.5 rad/s at 4 rad/s^2 in an eighth of a second; a little for settling.
-    assert (_stamps(odometry)[-1] - started) / 1e9 < 0.9
+    assert max(map(abs, turns)) < 0.01
 
 
 def test_second_simulation_in_the_domain_is_refused(sim: Launched) -> None:
@@ -236,12 +255,14 @@ def test_keyboard_without_a_terminal_says_what_to_do(sim: Launched) -> None:
 
 
 def test_record_beside_a_running_simulation_ends_after_its_duration(sim: Launched, tmp_path: Path) -> None:
-    recorder = Launched("record", str(tmp_path / "bag"), "--topics", "odom,clock,camera/camera_info", "--duration", "6")
+    recorder = Launched("record", str(tmp_path / "bag"), "--topics", "odom,clock,camera/camera_info", "--duration", "5")
     assert recorder.wait() == 0, "\n".join(recorder.lines)
     with AnyReader([tmp_path / "bag"]) as reader:
         counts = {c.topic: c.msgcount for c in reader.connections}
+        seconds = reader.duration / 1e9
     assert set(counts) == {"/odom", "/clock", "/camera/camera_info"}
-    assert 60 < counts["/odom"] <= 370, "six seconds at 60 Hz, less what passed until the topic was found"
+    assert 0 < counts["/odom"] <= 310, "five seconds at 60 Hz, less what passed until the topic was found"
+    assert 4.5 < seconds < 5.1
 
 
 def test_render_node_that_is_killed_comes_back_and_images_go_on(sim: Launched, listener: Listener) -> None:

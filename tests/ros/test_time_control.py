@@ -89,7 +89,7 @@ def test_real_time_factor_is_never_above_what_is_asked(sim: Launched, listener: 
     assert control.set_parameter("physics", "rate", rate) == (True, "")
     factors = listener.collect(Float64, "real_time_factor", DEEP)
     # The report in which the pace changed is a mixture.
-    listener.spin_until(lambda: len(factors) > 5, "real-time factors")
+    listener.spin_until(lambda: len(factors) > 3, "real-time factors")
     later = [factor.data for factor in factors[1:]]
     print(f"asked for {rate:g}: {[round(factor, 3) for factor in later]}")
     assert 0.0 < median(later) <= NEVER_FASTER * rate
@@ -97,10 +97,10 @@ def test_real_time_factor_is_never_above_what_is_asked(sim: Launched, listener: 
 
 def test_pace_changes_while_it_runs(sim: Launched, listener: Listener, control: Control) -> None:
     factors = listener.collect(Float64, "real_time_factor", DEEP)
-    assert control.set_parameter("physics", "rate", 0.1) == (True, "")
-    listener.spin_until(lambda: bool(factors) and factors[-1].data < 0.12, "a tenth of the pace")
+    assert control.set_parameter("physics", "rate", 0.05) == (True, "")
+    listener.spin_until(lambda: bool(factors) and factors[-1].data < 0.06, "a twentieth of the pace")
     assert control.set_parameter("physics", "rate", 1.0) == (True, "")
-    listener.spin_until(lambda: factors[-1].data > 0.2, "a higher pace")
+    listener.spin_until(lambda: factors[-1].data > 0.08, "a higher pace")
 
 
 def test_pace_without_end_is_as_fast_as_the_machine(sim: Launched, listener: Listener, control: Control) -> None:
@@ -108,7 +108,7 @@ def test_pace_without_end_is_as_fast_as_the_machine(sim: Launched, listener: Lis
     assert control.set_parameter("physics", "rate", 0.05) == (True, "")
     listener.spin_until(lambda: bool(factors) and factors[-1].data < 0.06, "a slow pace")
     assert control.set_parameter("physics", "rate", 0.0) == (True, "")
-    listener.spin_until(lambda: factors[-1].data > 0.2, "a higher pace")
+    listener.spin_until(lambda: factors[-1].data > 0.08, "a higher pace")
 
 
 def test_time_goes_on_where_it_was_when_the_pace_changes(sim: Launched, listener: Listener, control: Control) -> None:
