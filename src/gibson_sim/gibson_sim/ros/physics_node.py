@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.executors import Executor
@@ -15,13 +14,12 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMsg
-from std_msgs.msg import Float64
 
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import AlreadyRunningError, ConfigError
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.resources import find_config
-from gibson_sim.ros import conversions, names, qos
+from gibson_sim.ros import names, qos
 from gibson_sim.ros.digest_publisher import DigestPublisher
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.fast_publish import FastClock
@@ -30,6 +28,7 @@ from gibson_sim.ros.lockstep_gate import LockstepGate
 from gibson_sim.ros.node_main import goes_on, run_node, started_by_launcher, write_summary
 from gibson_sim.ros.pacing import Pacer
 from gibson_sim.ros.params import config_from_parameters
+from gibson_sim.ros.physics_stats import PhysicsStats
 from gibson_sim.ros.robot_interface import RobotInterface
 from gibson_sim.ros.run_info import publish_run_info
 from gibson_sim.ros.simulation_services import SimulationServices
@@ -59,7 +58,7 @@ class PhysicsNode(Node):
     Publishes:
         /clock (rosgraph_msgs/Clock) at ``clock_hz``, and with whatever else is published.
         real_time_factor (std_msgs/Float64): simulation time over wall time, once a second of wall time.
-        /diagnostics (diagnostic_msgs/DiagnosticArray): real-time factor, time lost, commands, once a second of wall time.
+        /diagnostics (diagnostic_msgs/DiagnosticArray): what ``PhysicsStats`` knows, once a second of wall time.
         run_info (gibson_msgs/RunInfo, latched): settings and surroundings.
         tick_digest (gibson_msgs/TickDigest), with ``digests``: numbers of all that a tick holds.
         And what ``WorldInterface``, ``Journal``, and, for each robot, ``RobotInterface`` list.
@@ -87,12 +86,8 @@ class PhysicsNode(Node):
         self._simulator = Simulator(scene, config)
         ticks_at_once = _MOST_TICKS_OF_LOCKSTEP if config.lockstep else 1
         self._pacer = Pacer(config.step_hz, config.rate, burst=ticks_at_once * config.step_hz // config.publish_hz)
-        self._first_step: tuple[int, int] | None = None
-        self._last_step, self._last_report = (0, 0), (0, 0)
         self._clock_message = FastClock()
         self._clock_pub = self.create_publisher(ClockMsg, names.CLOCK, **qos.overridable(qos.CLOCK))
-        self._factor_pub = self.create_publisher(Float64, names.REAL_TIME_FACTOR, qos.STATE)
-        self._diagnostics_pub = self.create_publisher(DiagnosticArray, names.DIAGNOSTICS, qos.STATE)
         self._stamped = StampedCommands(self)
         self._journal = Journal(self, self._simulator, self._on_input)
         self._digests = DigestPublisher(self) if config.digests else None
@@ -100,6 +95,7 @@ class PhysicsNode(Node):
         self._gate: LockstepGate | None = None
         if config.lockstep:
             self._gate = LockstepGate(self, config, self._on_tick_done, self._world_topics.publish_state_again)
+        self._stats = PhysicsStats(self, config, self._simulator, self._pacer, self._journal, self._gate)
         self._robots: dict[str, RobotInterface] = {}
         self._seen: tuple[PhysicsWorld | None, int] = (None, -1)
         self._seen_epoch = -1
@@ -201,7 +197,7 @@ class PhysicsNode(Node):
         self._world_topics.publish_epoch(simulator.epoch, stamp_ns, reset.scope, rewound=reset.rewound)
         if reset.rewound:
             self._clock_pub.publish(self._clock_message.serialize(stamp_ns))
-        self._last_report = (time.monotonic_ns(), stamp_ns)
+        self._stats.restart(stamp_ns)
 
     # Time
 
@@ -214,11 +210,11 @@ class PhysicsNode(Node):
         if self._gate is not None and self._stamped is not None:
             self._stamped.wake = partial(executor.create_task, self._on_tick_done)
         self._set_timer()
-        self.create_timer(1.0, self._publish_diagnostics, clock=steady)
+        self.create_timer(1.0, self._report, clock=steady)
         self._young_until = time.monotonic() + LATE_DISCOVERY_S
         self.create_timer(0.2, self._give_way_while_young, clock=steady)
         self.create_timer(1.0, self._world_topics.give_way, clock=steady)
-        self._last_report = (time.monotonic_ns(), self._stamp_ns)
+        self._stats.restart(self._stamp_ns)
         while goes_on() and not self._done:
             executor.spin_once(timeout_sec=0.5)
             if self._gate is not None and self._gate.failure is not None:
@@ -306,7 +302,7 @@ class PhysicsNode(Node):
         """Makes one step and publishes what is due at it."""
         world = self.simulator.world
         assert world is not None, "steps are due in a world alone"
-        self._first_step = self._first_step or (now_ns, world.stamp_ns)
+        self._stats.begin_step(now_ns, world.stamp_ns)
         for robot in self._robots.values():
             robot.take_commands(world, self._journal)
         self.simulator.step()
@@ -326,7 +322,7 @@ class PhysicsNode(Node):
                 robot.publish_sensors(measurements, self._digests)
         if state is not None:
             self._end_tick(state, step // ticks, dict(measured))
-        self._last_step = (time.monotonic_ns(), stamp_ns)
+        self._stats.end_step(stamp_ns)
         self._done = bool(config.duration) and stamp_ns >= config.duration * NS_PER_S
 
     def _end_tick(self, state: SceneState, tick: int, measured: dict[RobotInterface, Measurements]) -> None:
@@ -373,60 +369,8 @@ class PhysicsNode(Node):
                 return
             executor.spin_once(timeout_sec=0.05)
 
-    # Figures
-
-    def _publish_diagnostics(self) -> None:
-        """Publishes how fast time passed since the last report."""
-        wall_ns, sim_ns = time.monotonic_ns(), self._stamp_ns
-        factor = (sim_ns - self._last_report[1]) / max(1, wall_ns - self._last_report[0])
-        self._last_report = (wall_ns, sim_ns)
-        self._factor_pub.publish(Float64(data=factor))
-        playing = self.simulator.state is SimulationState.PLAYING
-        behind = playing and bool(self._config.rate) and factor < 0.95 * self._config.rate
-        robots = self._robots.values()
-        values = {
-            "state": self.simulator.state.name.lower(),
-            "real_time_factor": f"{factor:.3f}",
-            "simulation_time_s": f"{sim_ns / NS_PER_S:.3f}",
-            "epoch": self.simulator.epoch,
-            "lost_wall_time_s": f"{self._pacer.lost_ns / NS_PER_S:.3f}",
-            "entities": len(self.simulator.world.names) if self.simulator.world is not None else 0,
-            "commands": sum(robot.commands_seen for robot in robots),
-            "refused_commands": sum(robot.refused_commands for robot in robots),
-            "missed_measurements": sum(sum(robot.sensors.misses.values()) for robot in robots),
-            "late_inputs": self._journal.late,
-        }
-        if self._gate is not None:
-            values["lockstep_waits_for"] = ", ".join(self._gate.core.waits_for) or "nobody"
-            values["lockstep_timeouts"] = self._gate.timeouts
-        status = DiagnosticStatus(
-            level=DiagnosticStatus.WARN if behind else DiagnosticStatus.OK,
-            name="gibson_sim: physics",
-            message="slower than asked for" if behind else "on time" if playing else self.simulator.state.name.lower(),
-            hardware_id=self.simulator.scene.name,
-            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
-        )
-        self._diagnostics_pub.publish(DiagnosticArray(header=conversions.header_to_msg(sim_ns, ""), status=[status]))
-
-    def summary(self) -> dict[str, Any]:
-        """Returns what was measured since the first step."""
-        first = self._first_step or self._last_step
-        wall_s = (self._last_step[0] - first[0]) / NS_PER_S
-        sim_s = (self._last_step[1] - first[1]) / NS_PER_S
-        world, robots = self.simulator.world, self._robots.values()
-        return {
-            "scene": self.simulator.scene.name,
-            "simulation_time_s": sim_s,
-            "wall_time_s": wall_s,
-            "real_time_factor": sim_s / wall_s if wall_s else 0.0,
-            "physics_steps": 0 if world is None else world.step_count,
-            "step_hz": self._config.step_hz,
-            "lost_wall_time_s": self._pacer.lost_ns / NS_PER_S,
-            "commands": sum(robot.commands_seen for robot in robots),
-            "refused_commands": sum(robot.refused_commands for robot in robots),
-            "missed_measurements": {robot.robot.name: robot.sensors.misses for robot in robots},
-            **({} if self._gate is None else {"lockstep": self._gate.summary()}),
-        }
+    def _report(self) -> None:
+        self._stats.publish(self._stamp_ns, self._config.rate, self._robots.values())
 
     def close(self) -> None:
         """Writes the summary and frees the world."""
@@ -437,7 +381,7 @@ class PhysicsNode(Node):
             self._stamped.close()
             self._stamped = None
         if self._simulator is not None:
-            write_summary(self._config.summary_path, self.summary())
+            write_summary(self._config.summary_path, self._stats.summary(self._robots.values()))
             self._simulator.close()
             self._simulator = None
 
