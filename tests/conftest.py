@@ -35,8 +35,8 @@ def data_dir() -> Path:
 
 
 @pytest.fixture(scope="session")
-def ros_domain() -> Iterator[int]:
-    """A domain without a simulation; this process and its children talk in it, on this machine alone."""
+def ros_domain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
+    """A domain without a simulation; this process and its children talk in it, on this machine alone, which may be slow."""
     require("rclpy", "gibson_msgs")
     for domain_id in range(60 + os.getpid() % 40, 200):
         try:
@@ -44,8 +44,18 @@ def ros_domain() -> Iterator[int]:
         except AlreadyRunningError:
             continue
         break
-    before = {k: os.environ.get(k) for k in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")}
-    os.environ.update(ROS_DOMAIN_ID=str(domain_id), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+    profile = tmp_path_factory.mktemp("dds") / "fastdds.xml"
+    usual = (ROOT / "config" / "fastdds.xml").read_text()
+    # A process that is held up for longer than this, while another one starts, would be deaf from then on.
+    profile.write_text(usual.replace("<healthy_check_timeout_ms>1000<", "<healthy_check_timeout_ms>5000<"))
+    assert profile.read_text() != usual
+    changes = {
+        "ROS_DOMAIN_ID": str(domain_id),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "FASTRTPS_DEFAULT_PROFILES_FILE": str(profile),
+    }
+    before = {k: os.environ.get(k) for k in changes}
+    os.environ.update(changes)
     yield domain_id
     for key, value in before.items():
         if value is None:

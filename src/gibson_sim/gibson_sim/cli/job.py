@@ -13,6 +13,7 @@ from typing import Any
 from gibson_sim.cli.exit_codes import ExitCode
 from gibson_sim.cli.pictures import write_pictures
 from gibson_sim.cli.processes import NodeProcess, StopRequest
+from gibson_sim.cli.shared_memory import remove_dead_segments
 from gibson_sim.errors import RecordError
 
 MAX_RESTARTS = 3
@@ -61,6 +62,7 @@ class JobRun:
     def run(self) -> int:
         """Starts the nodes, watches them, stops them, makes what was asked for."""
         stop = StopRequest()
+        remove_dead_segments()  # whoever comes upon the port of a dead process waits for an answer of it
         try:
             # Physics first: it has the most to do before anybody can go on.
             for name in reversed(self._job.configs):
@@ -85,6 +87,7 @@ class JobRun:
                     return True
             elif name == "render" and code != USER_ERROR and self._restarts < MAX_RESTARTS:
                 self._restarts += 1
+                remove_dead_segments()
                 say(f"the render node ended with code {code} ({node.last_error()}): starting it again")
                 self._nodes[name] = NodeProcess(name, self._job.configs[name], self._environment)
             elif name == "record" and code != USER_ERROR:

@@ -12,16 +12,20 @@ from gibson_msgs.msg import TickDone
 from gibson_sim.ros import names, qos
 from gibson_sim.ros.fast_publish import FastTickDone
 
-MATCHING_S = 3.0
-"""Within so long those who are known to listen to a new publisher can hear it."""
+MATCHING_S, SETTLED_S = 10.0, 1.0
+"""Within so long those who listen to a new publisher are known and can hear it; nobody has come for so long."""
 
 
 def wait_for_readers(node: Node) -> None:
-    """Returns once all who listen to a topic of a node can hear it, or after a while: they hear of a new publisher one by one."""
-    deadline = time.monotonic() + MATCHING_S
-    for publisher in node.publishers:
-        while publisher.get_subscription_count() < node.count_subscribers(publisher.topic_name) and time.monotonic() < deadline:
-            time.sleep(0.01)
+    """Returns once all who listen to a topic of a node can hear it, or after a while: a new process hears of the others one by one."""
+    publishers = list(node.publishers)
+    deadline, since, before = time.monotonic() + MATCHING_S, time.monotonic(), [-1]
+    while time.monotonic() < min(deadline, since + SETTLED_S):
+        heard = [publisher.get_subscription_count() for publisher in publishers]
+        known = [node.count_subscribers(publisher.topic_name) for publisher in publishers]
+        if heard + known != before or any(h < k for h, k in zip(heard, known, strict=True)):
+            since, before = time.monotonic(), heard + known
+        time.sleep(0.02)
 
 
 class LockstepParticipant:
