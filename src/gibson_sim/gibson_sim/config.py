@@ -313,7 +313,9 @@ class RecordConfig:
         unit="s",
         minimum=0.0,
     )
-    snapshot_mb: int = setting(1000, "Memory for `snapshot_seconds`: the oldest messages go when it is full", unit="MB", minimum=1)
+    snapshot_mb: int = setting(
+        1000, "Memory for `snapshot_seconds`: the oldest messages go when it is full", unit="MB", minimum=1
+    )
     reserve_mb: int = setting(256, "Stop recording, bag intact, when the disk has less than this left", unit="MB", minimum=1)
     duration: float = setting(0.0, "End after so much simulation time; 0 = never", unit="s", minimum=0.0)
     summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
@@ -346,7 +348,8 @@ class RenderBagConfig:
     bag: str = setting("", "Folder of the recorded bag")
     output: str = setting("", "Folder of the new bag; it must not exist, or be empty")
     cameras: str = setting(
-        "", "Cameras to draw: a YAML file with a section `cameras` as in robot.yaml, their links `<body>/<link>`; empty = the bag's own"
+        "",
+        "Cameras to draw: a YAML file with a section `cameras` as in robot.yaml, their links `<body>/<link>`; empty = the bag's own",
     )
     outputs: str = setting(
         "", f"What every camera draws, separated by commas: {', '.join(OUTPUTS)}; empty = as the cameras have it"
@@ -368,7 +371,8 @@ class RenderBagConfig:
     begin: float = setting(0.0, "Begin so long after the begin of the bag", unit="s", minimum=0.0)
     end: float = setting(0.0, "End so long after the begin of the bag; 0 = at its end", unit="s", minimum=0.0)
     copy: str = setting(
-        "auto", "Topics to take over from the bag, separated by commas; auto = all but images and what is made of them, none = none"
+        "auto",
+        "Topics to take over from the bag, separated by commas; auto = all but images and what is made of them, none = none",
     )
     compression: str = setting("none", "Compression of the bag's chunks", choices=("none", "zstd", "lz4"))
     reserve_mb: int = setting(256, "Stop, bag intact, when the disk has less than this left", unit="MB", minimum=1)

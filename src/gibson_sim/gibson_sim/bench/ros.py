@@ -281,7 +281,9 @@ def targets(report: Report) -> list[Target]:
         met = sent.ms.median < TRANSPORT_MS and sent.lost == 0
         measured = f"{sent.ms.median:.2f} ms, {sent.lost} lost"
         found.append(Target(what, f"< {TRANSPORT_MS:g} ms, none lost", measured, sent.executor, met))
-    listening = [c for c in report.clocks if c.use_sim_time and c.executor != "polled"]  # that one is not woken, and needs other code
+    listening = [
+        c for c in report.clocks if c.use_sim_time and c.executor != "polled"
+    ]  # that one is not woken, and needs other code
     if listening:
         cost = min(listening, key=lambda c: c.cpu_percent)
         met = cost.cpu_percent < CLOCK_PERCENT
