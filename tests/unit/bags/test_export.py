@@ -280,7 +280,7 @@ def test_a_bag_of_a_real_robot_needs_nothing_of_ours(drives: Drives, messages: A
 
 
 def test_lerobot_holds_the_newest_image_state_and_command(drive: Path, tmp_path: Path) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet")
+    parquet = pytest.importorskip("pyarrow.parquet", reason="SKIPPED: LeRobot needs pyarrow: pip install pyarrow")
     export_bag(drive, "lerobot", tmp_path / "out", ExportOptions(fps=20, task="look at a wall"))
     table = parquet.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pydict()
     # 0.1, 0.15, 0.2 s: commands came at 0.101, 0.134 and 0.201 s, odometry with the images.

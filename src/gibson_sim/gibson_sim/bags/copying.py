@@ -8,7 +8,7 @@ from rosbags.interfaces import Connection, ConnectionExtRosbag2, MessageDefiniti
 
 from gibson_sim.bags.definitions import canonical_type
 from gibson_sim.bags.metadata import FOREVER_NS, TopicQos
-from gibson_sim.bags.reader import NS_PER_S
+from gibson_sim.types import NS_PER_S
 
 _SEPARATOR = "=" * 80
 _HISTORIES = ("keep_last", "keep_all")

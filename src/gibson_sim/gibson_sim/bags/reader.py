@@ -20,8 +20,8 @@ from rosbags.rosbag2 import ReaderError
 from rosbags.typesys import Stores, get_typestore
 
 from gibson_sim.errors import RecordError
+from gibson_sim.types import NS_PER_S
 
-NS_PER_S = 1_000_000_000
 COLOUR_ENCODINGS = ("rgb8", "bgr8", "mono8")
 DEPTH_ENCODINGS = ("32FC1", "16UC1")
 _ENCODINGS: dict[str, tuple[str, int]] = {

@@ -16,12 +16,13 @@ from typing import Any, cast
 from gibson_sim.bags.definitions import MessageDefinitions
 from gibson_sim.bags.mcap_file import Compression
 from gibson_sim.bags.metadata import Profile, TopicQos
-from gibson_sim.bags.reader import NS_PER_S, stamp_ns
+from gibson_sim.bags.reader import stamp_ns
 from gibson_sim.bags.snapshot_memory import LatchedMessages, SnapshotMemory, Stored
 from gibson_sim.bags.storage import Storage
 from gibson_sim.bags.writer import BagWriter
 from gibson_sim.config import RecordConfig
 from gibson_sim.errors import ConfigError, RecordError
+from gibson_sim.types import NS_PER_S
 
 MOST_WAITING = 1000
 """Messages that wait for the first clock, beside latched ones."""

@@ -18,6 +18,7 @@ import yaml
 from gibson_sim.bags.digest_comparison import Tick, TickDigests
 from gibson_sim.bags.reader import BagReader, header_stamp_ns
 from gibson_sim.errors import RecordError
+from gibson_sim.simulation.requests import EPOCH_REQUESTS
 from gibson_sim.types import NS_PER_S
 
 _INPUT, _DIGEST, _RUN_INFO = "gibson_msgs/msg/Input", "gibson_msgs/msg/TickDigest", "gibson_msgs/msg/RunInfo"
@@ -31,7 +32,6 @@ COMMAND_TYPES: Mapping[str, tuple[str, ...]] = {
 """Last part of a command topic's name -> types of its messages."""
 _SET_STATE, _LOAD_WORLD = "set_simulation_state", "load_world"
 _STOPPED, _PLAYING = 0, 1
-_ENDS_AN_EPOCH = ("reset_simulation", _SET_STATE, _LOAD_WORLD)
 _CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _BEGIN_STEPS = 60
 """A recording that begins later than so many steps is one of the middle of a run."""
@@ -267,7 +267,7 @@ def _take_ticks(bag: BagReader, of_type: Mapping[str, Sequence[str]], found: _Fo
 
 def in_order(inputs: Iterable[RecordedInput]) -> list[RecordedInput]:
     """Returns inputs in the order of their steps; those of one step as they come, but a reset last, since an epoch ends with it."""
-    return sorted(inputs, key=lambda i: (i.epoch, i.step, i.name.endswith(_ENDS_AN_EPOCH)))
+    return sorted(inputs, key=lambda i: (i.epoch, i.step, i.name.endswith(EPOCH_REQUESTS)))
 
 
 def with_starts(journal: Sequence[RecordedInput]) -> tuple[RecordedInput, ...]:

@@ -19,7 +19,7 @@ from gibson_sim.geometry.interpolation import interpolate_states
 from gibson_sim.sensors.schedule import images_due
 from gibson_sim.types import NS_PER_S, CameraSpec, SceneState
 
-SCENE_TYPE, STATE_TYPE, STATIC_TRANSFORMS = "gibson_msgs/msg/Scene", "gibson_msgs/msg/SceneState", "tf_static"
+SCENE_TYPE, STATE_TYPE = "gibson_msgs/msg/Scene", "gibson_msgs/msg/SceneState"
 _IMAGE_TYPES = (
     "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo", "gibson_msgs/msg/LabelInfo",
     "vision_msgs/msg/LabelInfo", "gibson_msgs/msg/TickDigest",

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from gibson_sim.bags.reader import (
     COLOUR_ENCODINGS,
     DEPTH_ENCODINGS,
-    NS_PER_S,
     BagReader,
     image_to_array,
     nominal_period_ns,
@@ -24,6 +23,7 @@ from gibson_sim.bags.reader import (
 )
 from gibson_sim.errors import RecordError
 from gibson_sim.geometry.transforms import yaw_from_quat
+from gibson_sim.types import NS_PER_S
 
 IMAGE = "sensor_msgs/msg/Image"
 ODOMETRY = "nav_msgs/msg/Odometry"

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -13,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from gibson_sim.bench.ros import Size, Spread, spread
+from gibson_sim.bench.ros import Size, Spread, Target, spread, without_nan
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.render.cache import default_folder
 from gibson_sim.render.renderer import Renderer
@@ -90,7 +89,8 @@ class LockstepReport:
         found = asdict(self)
         for case, values in zip(self.cases, found["cases"], strict=True):
             values["ticks_per_s"], values["overhead"] = case.ticks_per_s, case.overhead
-        return _without_nan(found)  # type: ignore[no-any-return]
+        cleaned: dict[str, Any] = without_nan(found)
+        return cleaned
 
 
 def alone(scene_name: str, robot: str, size: Size | None, ticks: int) -> tuple[Spread, Spread, Spread]:
@@ -145,32 +145,14 @@ def case_of(size: Size | None, parts: tuple[Spread, Spread, Spread], heard: dict
     return Case(size, *parts, spread(times.tolist()))
 
 
-@dataclass(frozen=True, slots=True)
-class Target:
-    """One of the aims, and whether it was reached."""
-
-    what: str
-    wanted: str
-    measured: str
-    met: bool
-
-
 def targets(cases: Sequence[Case]) -> list[Target]:
     """Returns the targets that the cases say something about."""
     found = []
     for case in cases:
         if case.size is None:
             rate = case.ticks_per_s
-            found.append(Target("ticks without images", f"> {TICKS_PER_S:,.0f}/s", f"{rate:,.0f}/s", rate > TICKS_PER_S))
+            found.append(Target("ticks without images", f"> {TICKS_PER_S:,.0f}/s", f"{rate:,.0f}/s", "", rate > TICKS_PER_S))
         else:
             what = f"what the processes add at {case.size} RGB + depth"
-            found.append(Target(what, f"< {100 * OVERHEAD:.0f} %", f"{100 * case.overhead:.0f} %", case.overhead < OVERHEAD))
+            found.append(Target(what, f"< {100 * OVERHEAD:.0f} %", f"{100 * case.overhead:.0f} %", "", case.overhead < OVERHEAD))
     return found
-
-
-def _without_nan(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _without_nan(part) for key, part in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_without_nan(part) for part in value]
-    return None if isinstance(value, float) and math.isnan(value) else value

@@ -246,7 +246,7 @@ class Report:
 
     def as_json(self) -> dict[str, Any]:
         """Returns it as values for JSON, with the targets; NaN becomes null."""
-        found: dict[str, Any] = _without_nan(asdict(self))
+        found: dict[str, Any] = without_nan(asdict(self))
         found["targets"] = [asdict(target) for target in targets(self)]
         return found
 
@@ -259,7 +259,7 @@ class Target:
     wanted: str
     measured: str
     how: str
-    """Which row it is."""
+    """Which row it is; empty = the only one."""
     met: bool
 
 
@@ -281,9 +281,8 @@ def targets(report: Report) -> list[Target]:
         met = sent.ms.median < TRANSPORT_MS and sent.lost == 0
         measured = f"{sent.ms.median:.2f} ms, {sent.lost} lost"
         found.append(Target(what, f"< {TRANSPORT_MS:g} ms, none lost", measured, sent.executor, met))
-    listening = [
-        c for c in report.clocks if c.use_sim_time and c.executor != "polled"
-    ]  # that one is not woken, and needs other code
+    # Who polls is not woken, and needs other code.
+    listening = [c for c in report.clocks if c.use_sim_time and c.executor != "polled"]
     if listening:
         cost = min(listening, key=lambda c: c.cpu_percent)
         met = cost.cpu_percent < CLOCK_PERCENT
@@ -293,9 +292,10 @@ def targets(report: Report) -> list[Target]:
     return found
 
 
-def _without_nan(value: Any) -> Any:
+def without_nan(value: Any) -> Any:
+    """Returns values for JSON: NaN becomes null, a tuple a list."""
     if isinstance(value, dict):
-        return {key: _without_nan(part) for key, part in value.items()}
+        return {key: without_nan(part) for key, part in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_without_nan(part) for part in value]
+        return [without_nan(part) for part in value]
     return None if isinstance(value, float) and math.isnan(value) else value

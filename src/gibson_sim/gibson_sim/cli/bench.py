@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
 from gibson_sim.cli import bench_lockstep, bench_ros, bench_tensors
+from gibson_sim.cli.report_file import add_report_options, write_json
 from gibson_sim.config import DETAIL_PX
 from gibson_sim.errors import ConfigError
 from gibson_sim.types import OUTPUTS
@@ -59,8 +59,7 @@ def _add_render(kinds: Any) -> None:
     parser.add_argument(
         "--device", help="EGL device: its number or UUID, as `gibson-sim doctor` lists them (default: a GPU if there is one)"
     )
-    parser.add_argument("--json", "--out", dest="json", type=Path, metavar="FILE", help="JSON file to write")
-    parser.add_argument("--markdown", action="store_true", help="print Markdown")
+    add_report_options(parser)
     parser.set_defaults(run=run_render)
 
 
@@ -72,9 +71,7 @@ def run_render(args: argparse.Namespace) -> int:
 
     report = measure(plan, tell=lambda line: print(line, file=sys.stderr, flush=True))
     print(report_text(report, markdown=args.markdown, show_growth=args.growth))
-    if args.json is not None:
-        args.json.parent.mkdir(parents=True, exist_ok=True)
-        args.json.write_text(json.dumps(report.as_json(), indent=1) + "\n", encoding="utf-8")
+    write_json(args.json, report.as_json())
     return 0
 
 

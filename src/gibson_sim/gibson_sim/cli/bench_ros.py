@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import tempfile
@@ -30,6 +29,7 @@ from gibson_sim.bench.ros_report import report_text
 from gibson_sim.cli.bench_processes import CAMERA, BenchError, answer, process, role, write_robot
 from gibson_sim.cli.environment import RMW, domain_of, node_environment, require_nodes
 from gibson_sim.cli.processes import DomainLock
+from gibson_sim.cli.report_file import add_report_options, write_json
 from gibson_sim.cli.shared_memory import remove_dead_segments
 from gibson_sim.errors import ConfigError
 
@@ -48,8 +48,7 @@ def add_parser(kinds: Any) -> None:
     parser.add_argument("--quick", action="store_true", help="fewer and shorter: about four minutes instead of ten")
     parser.add_argument("--only", default="", metavar="A,B", help=f"some of {', '.join(PARTS)} (default: all)")
     parser.add_argument("--scene", help="scene of the running simulation (default: flat)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="JSON file to write")
-    parser.add_argument("--markdown", action="store_true", help="print Markdown")
+    add_report_options(parser)
     parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
     parser.set_defaults(run=run)
 
@@ -59,9 +58,7 @@ def run(args: argparse.Namespace) -> int:
     require_nodes()
     report = measure(plan_of(args), domain_id=args.domain_id, tell=lambda line: print(line, file=sys.stderr, flush=True))
     print(report_text(report, markdown=args.markdown))
-    if args.json is not None:
-        args.json.parent.mkdir(parents=True, exist_ok=True)
-        args.json.write_text(json.dumps(report.as_json(), indent=1) + "\n", encoding="utf-8")
+    write_json(args.json, report.as_json())
     return 0
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
-from pathlib import Path
 from typing import Any
+
+from gibson_sim.cli.report_file import add_report_options, write_json
 
 
 def add_parser(subparsers: Any) -> None:
@@ -20,7 +20,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--device", help="EGL device: its number or UUID, as `gibson-sim doctor` lists them (default: a GPU if there is one)"
     )
-    parser.add_argument("--out", type=Path, help="JSON file to write")
+    add_report_options(parser, markdown=False)
     parser.set_defaults(run=run)
 
 
@@ -36,7 +36,5 @@ def run(args: argparse.Namespace) -> int:
         progress=lambda c: print(f"{c.name}, {c.views} x {c.size}x{c.size}: {c.median:,.0f} images/s", file=sys.stderr),
     )
     print(table(report))
-    if args.out is not None:
-        args.out.parent.mkdir(parents=True, exist_ok=True)
-        args.out.write_text(json.dumps(report.as_json(), indent=2) + "\n", encoding="utf-8")
+    write_json(args.json, report.as_json())
     return 0

@@ -5,14 +5,18 @@ from __future__ import annotations
 import json
 import shutil
 import sys
+import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from gibson_sim.cli.environment import domain_of
 from gibson_sim.cli.exit_codes import ExitCode
 from gibson_sim.cli.pictures import write_pictures
-from gibson_sim.cli.processes import NodeProcess, StopRequest
+from gibson_sim.cli.processes import DomainLock, NodeProcess, StopRequest
+from gibson_sim.cli.report_file import write_json
 from gibson_sim.cli.shared_memory import remove_dead_segments
 from gibson_sim.errors import RecordError
 
@@ -46,6 +50,30 @@ def check_new_bag(bag: Path) -> None:
     """
     if bag.exists() and (not bag.is_dir() or any(bag.iterdir())):
         raise RecordError(f"--record {bag}: it is there already and is not an empty folder; give another name or remove it")
+
+
+def run_job(plan: Callable[[Path], Job], environment: dict[str, str]) -> tuple[int, dict[str, dict[str, Any]]]:
+    """Runs a job in the ROS domain of an environment, which it has to itself meanwhile.
+
+    Args:
+        plan: returns the job; it is given a folder for what the nodes leave, which is gone afterwards.
+        environment: of the nodes.
+
+    Returns:
+        The exit code, and what each node measured.
+
+    Raises:
+        GibsonSimError: the job is impossible, or another simulation runs there; nothing was started.
+    """
+    with tempfile.TemporaryDirectory(prefix="gibson-sim-") as temporary:
+        job = plan(Path(temporary))
+        lock = DomainLock(domain_of(environment))
+        try:
+            running = JobRun(job, environment)
+            return running.run(), running.found
+        finally:
+            remove_dead_segments()
+            lock.close()
 
 
 class JobRun:
@@ -115,9 +143,7 @@ class JobRun:
         found = self.found = {name: values for name, values in read.items() if values or name in ("physics", "render", "record")}
         for line in _summary_lines(found, self._restarts):
             say(line)
-        if self._job.summary:
-            self._job.summary.parent.mkdir(parents=True, exist_ok=True)
-            self._job.summary.write_text(json.dumps({**found, "render_restarts": self._restarts}, indent=2) + "\n")
+            write_json(self._job.summary, {**found, "render_restarts": self._restarts})
         if self._job.video and self._job.bag and found["record"].get("messages"):
             for path in write_pictures(self._job.bag, self._job.video):
                 say(f"wrote {path}")

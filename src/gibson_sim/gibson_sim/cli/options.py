@@ -39,15 +39,19 @@ def _parser_of(name: str, kind: type[Any]) -> Any:
     return kind
 
 
-def settings_from_args(cls: type[T], args: argparse.Namespace, **given: Any) -> T:
-    """Returns ``cls`` with the options that were given; ``given`` wins over them.
+def given(args: argparse.Namespace, names: Iterable[str]) -> dict[str, Any]:
+    """Returns the settings among ``names`` that were given as options."""
+    return {name: getattr(args, name) for name in names if getattr(args, name, None) is not None}
+
+
+def settings_from_args(cls: type[T], args: argparse.Namespace, **sure: Any) -> T:
+    """Returns ``cls`` with the options that were given; ``sure`` wins over them.
 
     Raises:
         ConfigError: a value is not allowed.
     """
     names = [f.name for f in fields(cls)]  # type: ignore[arg-type]
-    values = {n: getattr(args, n) for n in names if getattr(args, n, None) is not None}
-    return cls(**{**values, **given})
+    return cls(**{**given(args, names), **sure})
 
 
 def node_arguments(config: Any) -> list[str]:

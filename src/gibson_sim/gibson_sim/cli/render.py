@@ -6,11 +6,11 @@ import argparse
 import json
 import os
 import sys
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from typing import Any
 
 from gibson_sim.cli.environment import PARENT_VARIABLE, node_environment, require_nodes
-from gibson_sim.cli.options import add_settings, settings_from_args
+from gibson_sim.cli.options import add_settings, given, settings_from_args
 from gibson_sim.config import RenderBagConfig, RenderConfig
 from gibson_sim.resources import find_config
 
@@ -46,11 +46,10 @@ def _run(args: argparse.Namespace) -> int:
     job = settings_from_args(RenderBagConfig, args)
     if job.randomise:
         find_config(job.randomise, "randomisation")
-    given = {name: getattr(args, name) for name in _RENDER if getattr(args, name) is not None}
-    render = RenderConfig(**given)
+    render = RenderConfig(**given(args, _RENDER))
     environment = node_environment()
     del environment[PARENT_VARIABLE]
-    values = json.dumps({"bag": asdict(job), "render": {f.name: getattr(render, f.name) for f in fields(render)}})
+    values = json.dumps({"bag": asdict(job), "render": asdict(render)})
     command = [sys.executable, "-m", "gibson_sim.ros.render_bag", values]
     sys.stdout.flush()
     os.execve(command[0], command, environment)

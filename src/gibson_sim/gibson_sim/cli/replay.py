@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import tempfile
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -11,12 +10,10 @@ from typing import Any
 
 from gibson_sim.bags.digest_comparison import verification_from_json
 from gibson_sim.bags.replaying import RunFacts, read_facts
-from gibson_sim.cli.environment import domain_of, node_environment, require_nodes
+from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.exit_codes import ExitCode
-from gibson_sim.cli.job import CAMERAS, STATE_TOPIC, Job, JobRun, check_new_bag, say
-from gibson_sim.cli.options import add_settings, settings_from_args
-from gibson_sim.cli.processes import DomainLock
-from gibson_sim.cli.shared_memory import remove_dead_segments
+from gibson_sim.cli.job import CAMERAS, STATE_TOPIC, Job, check_new_bag, run_job, say
+from gibson_sim.cli.options import add_settings, given, settings_from_args
 from gibson_sim.config import PhysicsConfig, RecordConfig, RenderConfig, ReplayConfig
 from gibson_sim.errors import ConfigError, RecordError
 from gibson_sim.resources import find_scene
@@ -62,17 +59,8 @@ def run(args: argparse.Namespace) -> int:
     facts = read_facts(args.bag)
     _check(args, facts)
     environment = node_environment(domain_id=args.domain_id)
-    domain_id = domain_of(environment)
-    with tempfile.TemporaryDirectory(prefix="gibson-sim-") as temporary:
-        job = _plan(args, facts, Path(temporary))
-        lock = DomainLock(domain_id)
-        try:
-            running = JobRun(job, environment)
-            code = running.run()
-        finally:
-            remove_dead_segments()
-            lock.close()
-    return _report(running.found.get("replay", {}), code)
+    code, found = run_job(lambda folder: _plan(args, facts, folder), environment)
+    return _report(found.get("replay", {}), code)
 
 
 def _check(args: argparse.Namespace, facts: RunFacts) -> None:
@@ -146,8 +134,7 @@ def _settings(cls: type[Any], recorded: Mapping[str, Any], args: argparse.Namesp
             f"the bag has settings that this version does not know: {', '.join(unknown)}; use the version that recorded it"
         )
     kept = {name: value for name, value in recorded.items() if name not in _OF_THE_RUN}
-    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
-    return {**kept, **given}
+    return {**kept, **given(args, names)}
 
 
 def _report(found: Mapping[str, Any], code: int) -> int:

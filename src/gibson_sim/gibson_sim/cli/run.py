@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import tempfile
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.cli.environment import domain_of, node_environment, require_nodes
-from gibson_sim.cli.job import CAMERAS, ROBOTS, STATE_TOPIC, Job, JobRun, check_new_bag
+from gibson_sim.cli.environment import node_environment, require_nodes
+from gibson_sim.cli.job import CAMERAS, ROBOTS, STATE_TOPIC, Job, check_new_bag, run_job
 from gibson_sim.cli.options import add_settings, settings_from_args
-from gibson_sim.cli.processes import DomainLock
-from gibson_sim.cli.shared_memory import remove_dead_segments
 from gibson_sim.config import DriveConfig, PhysicsConfig, RecordConfig, RenderConfig, SnapshotConfig
 from gibson_sim.errors import ConfigError
 from gibson_sim.resources import find_config, find_scene
@@ -86,15 +83,8 @@ def run(args: argparse.Namespace) -> int:
     """Runs the job; returns the exit code."""
     require_nodes()
     environment = node_environment(domain_id=args.domain_id)
-    domain_id = domain_of(environment)
-    with tempfile.TemporaryDirectory(prefix="gibson-sim-") as temporary:
-        job = _plan(args, Path(temporary))
-        lock = DomainLock(domain_id)
-        try:
-            return JobRun(job, environment).run()
-        finally:
-            remove_dead_segments()
-            lock.close()
+    code, _ = run_job(lambda folder: _plan(args, folder), environment)
+    return code
 
 
 def _plan(args: argparse.Namespace, folder: Path) -> Job:
@@ -123,7 +113,7 @@ def _plan(args: argparse.Namespace, folder: Path) -> Job:
         check_new_bag(job.bag)
         record = {"output": str(job.bag), "summary_path": str(folder / "record.json")}
         job.configs["record"] = settings_from_args(RecordConfig, args, duration=0.0, **record)
-        topics = job.configs["record"].wanted_topics()
+        topics = [topic.lstrip("/") for topic in job.configs["record"].wanted_topics()]
         cameras = () if args.no_render else (CAMERAS,)
         for topic in [t for t in topics if t in _OF_ONE_ROBOT] if topics else (STATE_TOPIC, ROBOTS, *cameras):
             waits[topic] = waits.get(topic, 0) + 1

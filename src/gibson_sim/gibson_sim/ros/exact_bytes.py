@@ -14,20 +14,16 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from gibson_sim.bags.definitions import MessageDefinitions
+from gibson_sim.ros.message_types import type_name_of
 
 _ENCAPSULATION = 4
 """Bytes before the message itself."""
 
 
-def type_name(message_type: Any) -> str:
-    """Returns ``sensor_msgs/msg/Image`` of a message class."""
-    return f"{message_type.__module__.partition('.')[0]}/msg/{message_type.__name__}"
-
-
 def exact_bytes(message: Any) -> bytes:
     """Returns the message as CDR, without bytes behind its end. For messages that come seldom: it reads what it wrote."""
     data = bytes(serialize_message(message))
-    name = type_name(type(message))
+    name = type_name_of(type(message))
     store = _store(name)
     definition = store.get_msgdef(name)
     _, end = definition.deserialize_cdr_le(data[_ENCAPSULATION:], 0, definition.cls, store)

@@ -6,7 +6,6 @@ import time
 from bisect import bisect_right
 from collections import deque
 from dataclasses import replace
-from importlib import import_module
 from typing import Any, NamedTuple
 
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -18,6 +17,7 @@ from gibson_sim.bags.losses import Losses
 from gibson_sim.bags.metadata import TopicQos
 from gibson_sim.bags.snapshot_memory import TF
 from gibson_sim.errors import RecordError
+from gibson_sim.ros.message_types import UNKNOWN, message_class
 
 DEPTH = 2000
 """Messages of a topic that may wait: the disk may stand still for seconds."""
@@ -71,10 +71,9 @@ class Intake:
             RecordError: the type is not installed here.
         """
         assert self._node is not None, "the intake is closed"
-        package, _, name = type_name.partition("/msg/")
         try:
-            message_type = getattr(import_module(f"{package}.msg"), name)
-        except (ImportError, AttributeError):
+            message_type = message_class(type_name)
+        except UNKNOWN:
             raise RecordError(f"its type {type_name} is not installed here") from None
         silent = SubscriptionEventCallbacks(use_default_callbacks=False)
         subscription = self._node.create_subscription(message_type, topic, _ignore, profile, raw=True, event_callbacks=silent)

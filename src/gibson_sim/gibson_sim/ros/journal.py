@@ -6,7 +6,6 @@ import heapq
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from importlib import import_module
 from typing import Any
 
 from rclpy.node import Node
@@ -14,6 +13,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from gibson_msgs.msg import Input
 from gibson_sim.ros import conversions, names, qos
+from gibson_sim.ros.message_types import UNKNOWN, message_class, type_name_of
+from gibson_sim.simulation.requests import EPOCH_REQUESTS
 from gibson_sim.simulation.simulator import Simulator
 
 logger = logging.getLogger(__name__)
@@ -51,11 +52,11 @@ class Journal:
         self.late = 0
         """Inputs that came after their step."""
 
-    def note(self, name: str, message: Any, kind: str = "msg") -> None:
+    def note(self, name: str, message: Any) -> None:
         """Publishes an input that the next step obeys, if anybody wants to know."""
         if not self._publisher.get_subscription_count():
             return
-        simulator, type_name = self._simulator, _type_name(message, kind)
+        simulator, type_name = self._simulator, type_name_of(type(message))
         world = simulator.world
         header = conversions.header_to_msg(0 if world is None else world.stamp_ns, "")
         out = Input(header=header, epoch=simulator.epoch, step=simulator.epoch_step, name=name, type=type_name)
@@ -64,8 +65,8 @@ class Journal:
 
     def _on_input(self, msg: Any) -> None:
         try:
-            message = deserialize_message(bytes(msg.data), _message_class(msg.type))
-        except (ImportError, AttributeError, ValueError, RuntimeError) as error:
+            message = deserialize_message(bytes(msg.data), message_class(msg.type))
+        except (*UNKNOWN, RuntimeError) as error:
             logger.warning("an input for %s is left out, its type %r or its data cannot be read: %s", msg.name, msg.type, error)
         else:
             self._count += 1
@@ -74,6 +75,8 @@ class Journal:
 
     def due(self) -> list[tuple[str, Any]]:
         """Returns (name, message or request) of the planned inputs that the next step obeys, in their order."""
+        if not self._planned:
+            return []
         now = self._simulator.epoch, self._simulator.epoch_step
         found = []
         while self._planned and (self._planned[0].epoch, self._planned[0].step) <= now:
@@ -82,22 +85,6 @@ class Journal:
                 self.late += 1
                 logger.warning("an input for %s came after its step %d of epoch %d", planned.name, planned.step, planned.epoch)
             found.append((planned.name, planned.message))
-            if found[-1][0].rpartition("/")[2] in _NEW_EPOCH:
+            if planned.name.endswith(EPOCH_REQUESTS):
                 break  # what comes behind it may belong to the time after
         return found
-
-
-_NEW_EPOCH = ("reset_simulation", "set_simulation_state", "load_world")
-"""Services after which steps count anew."""
-
-
-def _type_name(message: Any, kind: str) -> str:
-    """Returns ``geometry_msgs/msg/Twist`` or ``simulation_interfaces/srv/SpawnEntity`` of a message or a request."""
-    cls = type(message)
-    return f"{cls.__module__.partition('.')[0]}/{kind}/{cls.__name__.removesuffix('_Request')}"
-
-
-def _message_class(type_name: str) -> Any:
-    package, kind, name = type_name.split("/")
-    found = getattr(import_module(f"{package}.{kind}"), name)
-    return found.Request if kind == "srv" else found

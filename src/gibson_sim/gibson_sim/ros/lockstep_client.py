@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 
 from gibson_msgs.msg import TickDone
 from gibson_sim.ros import names, qos
@@ -16,15 +17,19 @@ MATCHING_S, SETTLED_S = 10.0, 1.0
 """Within so long those who listen to a new publisher are known and can hear it; nobody has come for so long."""
 
 
+def reaches_all(node: Node, publisher: Publisher) -> bool:
+    """Returns whether all who are known to listen to a publisher of a node get what it publishes from now on."""
+    return bool(publisher.get_subscription_count() >= node.count_subscribers(publisher.topic_name))
+
+
 def wait_for_readers(node: Node) -> None:
     """Returns once all who listen to a topic of a node can hear it, or after a while: a new process hears of the others one by one."""
     publishers = list(node.publishers)
     deadline, since, before = time.monotonic() + MATCHING_S, time.monotonic(), [-1]
     while time.monotonic() < min(deadline, since + SETTLED_S):
-        heard = [publisher.get_subscription_count() for publisher in publishers]
-        known = [node.count_subscribers(publisher.topic_name) for publisher in publishers]
-        if heard + known != before or any(h < k for h, k in zip(heard, known, strict=True)):
-            since, before = time.monotonic(), heard + known
+        readers = [publisher.get_subscription_count() for publisher in publishers]
+        if readers != before or not all(reaches_all(node, publisher) for publisher in publishers):
+            since, before = time.monotonic(), readers
         time.sleep(0.02)
 
 

@@ -6,12 +6,13 @@ import time
 from collections.abc import Callable, Collection
 from typing import Any
 
-from rclpy.node import Node
+from rclpy.node import Node, NodeNameNonExistentError
 
 from gibson_msgs.msg import TickDone
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import LockstepError
 from gibson_sim.ros import conversions, names, qos
+from gibson_sim.ros.lockstep_client import reaches_all
 from gibson_sim.simulation.lockstep import Lockstep, parse_participants
 from gibson_sim.types import NS_PER_S
 
@@ -23,6 +24,10 @@ _MATCHING_NS = 3 * NS_PER_S
 """After so long a new participant is believed to hear us."""
 _AGAIN_NS = NS_PER_S // 2
 """How often a participant that came back is given the present tick, until it has done it."""
+_SETTLED_NS = NS_PER_S // 2
+"""For so long somebody who knows nothing of lockstep must have heard us before time begins: then we hear it, too."""
+_FIRST_ANSWER_NS = 5 * NS_PER_S
+"""After so long without its very first answer, what it listens to is published once more: it may have been lost."""
 
 
 class LockstepGate:
@@ -32,14 +37,17 @@ class LockstepGate:
         tick_done (gibson_msgs/TickDone): who takes part, and has done what.
     """
 
-    def __init__(self, node: Node, config: PhysicsConfig, go_on: Callable[[], None], publish_again: Callable[[], None]) -> None:
+    def __init__(
+        self, node: Node, config: PhysicsConfig, go_on: Callable[[], None], publish_again: Callable[[bool], None]
+    ) -> None:
         """Starts to listen.
 
         Args:
             node: the physics node.
             config: its settings.
             go_on: is called when a tick is done.
-            publish_again: publishes the state of the present tick once more, for a participant that came back.
+            publish_again: publishes the state of the present tick once more, for a participant that came back; with True
+                all of the tick, for one that knows nothing of lockstep.
 
         Raises:
             ConfigError: setting ``participants`` is not of the form that the message shows.
@@ -50,6 +58,8 @@ class LockstepGate:
         self._reported_ns = self._again_ns = 0
         self._came_back: set[str] = set()
         self._new: dict[str, int] = {}
+        self._strangers = {p.name: 0 for p in self.core.participants}
+        """Those known by a rule that may not hear us yet, and since when they seem to."""
         self.timeouts = 0
         self.failure: LockstepError | None = None
         """Why the run has to end."""
@@ -97,27 +107,43 @@ class LockstepGate:
     def may_go(self) -> bool:
         """Returns whether the next tick may begin; says who is late, and sets ``failure`` where somebody is too late."""
         core, now_ns = self.core, time.monotonic_ns()
-        if core.is_open:
-            self._new = {n: since for n, since in self._new.items() if now_ns - since < _MATCHING_NS and not self._hears_us(n)}
-            return not self._new
-        limit_s = self._config.participant_timeout
+        limit_s, opened_ns = self._config.participant_timeout, self._started_ns
         if core.absent:
-            waited_ns, limit_s = now_ns - self._started_ns, max(JOIN_LIMIT_S, limit_s)
-            what = f"has not joined after {waited_ns / NS_PER_S:.1f} s"
-        else:
-            waited_ns = core.waited_ns(now_ns)
-            what = f"has not done the tick at {(core.stamp_ns or 0) / NS_PER_S:.3f} s after {waited_ns / NS_PER_S:.1f} s"
-        if self._came_back and now_ns - self._again_ns > _AGAIN_NS:
-            self._again_ns = now_ns
-            self._publish_again()
-        if waited_ns < min(LATE_NS, limit_s * NS_PER_S):
+            what, limit_s = "has not joined", max(JOIN_LIMIT_S, limit_s)
+        elif not core.is_open:
+            what, opened_ns = f"has not done the tick at {(core.stamp_ns or 0) / NS_PER_S:.3f} s", now_ns - core.waited_ns(now_ns)
+            self._repeat_tick(now_ns)
+        elif self._is_heard(now_ns):
+            return True
+        elif not self._strangers:
             return False
-        if waited_ns > limit_s * NS_PER_S:
-            return self._give_up(what, now_ns)
-        if now_ns - self._reported_ns > LATE_NS:
+        else:
+            what = "does not listen yet"
+        waited_s = (now_ns - opened_ns) / NS_PER_S
+        if waited_s > limit_s:
+            return self._give_up(f"{what} after {waited_s:.1f} s", now_ns)
+        if waited_s * NS_PER_S > LATE_NS and now_ns - self._reported_ns > LATE_NS:
             self._reported_ns = now_ns
-            self._node.get_logger().warning(f"lockstep: {self._late()} {what}; time waits")
+            self._node.get_logger().warning(f"lockstep: {self._late()} {what} after {waited_s:.1f} s; time waits")
         return False
+
+    def _is_heard(self, now_ns: int) -> bool:
+        """Returns whether everybody hears what is published from now on."""
+        if not self._new and not self._strangers:
+            return True
+        self._new = {n: since for n, since in self._new.items() if now_ns - since < _MATCHING_NS and not self._hears_us(n)}
+        rules = {p.name: p.answer for p in self.core.participants}
+        heard = {n: since or now_ns if self._is_heard_by(rules[n]) else 0 for n, since in self._strangers.items()}
+        self._strangers = {n: since for n, since in heard.items() if not since or now_ns - since < _SETTLED_NS}
+        return not self._new and not self._strangers
+
+    def _repeat_tick(self, now_ns: int) -> None:
+        """Gives the present tick again to one that came back, and to one whose first answer does not come."""
+        mute = [p for p in self.core.participants if p.answer and p.waits_for_it and not p.ticks and not p.missed]
+        lost = bool(mute) and self.core.waited_ns(now_ns) > _FIRST_ANSWER_NS
+        if (lost and now_ns - self._again_ns > _FIRST_ANSWER_NS) or (self._came_back and now_ns - self._again_ns > _AGAIN_NS):
+            self._again_ns = now_ns
+            self._publish_again(lost)
 
     def _give_up(self, what: str, now_ns: int) -> bool:
         late = self._late()
@@ -128,6 +154,7 @@ class LockstepGate:
             )
             return False
         self.core.give_up(now_ns)
+        self._strangers = {}
         self.timeouts += 1
         self._node.get_logger().warning(
             f"lockstep: {late} {what}: this tick goes on without it; the run cannot be repeated to the bit"
@@ -136,20 +163,30 @@ class LockstepGate:
 
     def _hears_us(self, name: str) -> bool:
         """Returns whether all that a participant listens to reaches it: its messages may be here before its subscriptions are."""
+        return any(_full_name(p) == name and self._reaches(p) for p in self._node.get_publishers_info_by_topic(names.TICK_DONE))
+
+    def _is_heard_by(self, answer: str) -> bool:
+        """Returns whether somebody publishes a topic, and all that those listen to reaches them."""
+        found = [p for p in self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(answer)) if p.node_name]
+        return bool(found) and all(map(self._reaches, found))
+
+    def _reaches(self, endpoint: Any) -> bool:
+        """Returns whether all that the node of an endpoint listens to reaches it."""
         node = self._node
-        found = next((p for p in node.get_publishers_info_by_topic(names.TICK_DONE) if _full_name(p) == name), None)
-        if found is None:
-            return False
-        topics = {topic for topic, _ in node.get_subscriber_names_and_types_by_node(found.node_name, found.node_namespace)}
+        try:
+            found = node.get_subscriber_names_and_types_by_node(endpoint.node_name, endpoint.node_namespace)
+        except NodeNameNonExistentError:
+            return False  # of a new node, its topics may be known first
+        topics = {topic for topic, _ in found}
         ours = [publisher for publisher in node.publishers if publisher.topic_name in topics]
-        return all(publisher.get_subscription_count() >= node.count_subscribers(publisher.topic_name) for publisher in ours)
+        return all(reaches_all(node, publisher) for publisher in ours)
 
     def _late(self) -> str:
         """Returns the names of those who are waited for, and what is known of them."""
         there = {_full_name(p) for p in self._node.get_publishers_info_by_topic(names.TICK_DONE)}
         rules = {p.name: p.answer for p in self.core.participants}
         parts = []
-        for name in self.core.waits_for:
+        for name in self.core.waits_for or self._strangers:
             if rules.get(name):
                 gone = not self._node.count_publishers(rules[name])
                 parts.append(f"{name!r} ({'nobody publishes' if gone else 'no message on'} {rules[name]})")

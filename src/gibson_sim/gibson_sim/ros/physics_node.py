@@ -94,16 +94,15 @@ class PhysicsNode(Node):
         self._world_topics = WorldInterface(self, config, rules)
         self._gate: LockstepGate | None = None
         if config.lockstep:
-            self._gate = LockstepGate(self, config, self._on_tick_done, self._world_topics.publish_state_again)
+            self._gate = LockstepGate(self, config, self._on_tick_done, self._publish_again)
         self._stats = PhysicsStats(self, config, self._simulator, self._pacer, self._journal, self._gate)
         self._robots: dict[str, RobotInterface] = {}
         self._seen: tuple[PhysicsWorld | None, int] = (None, -1)
         self._seen_epoch = -1
         self._timer: Timer | None = None
-        """From when time may pass."""
+        self._last_tick: tuple[SceneState, dict[RobotInterface, Measurements]] | None = None
         self._done = False
-        note = partial(self._journal.note, kind="srv")
-        self._standard = SimulationServices(self, self.simulator, config.service_prefix, note)
+        self._standard = SimulationServices(self, self.simulator, config.service_prefix, self._journal.note)
         self._follow_changes()
         spec = self.simulator.scene
         self._run_info = publish_run_info(self, "physics", config, self._stamp_ns, scene_digest=spec.content_hash)
@@ -334,7 +333,16 @@ class PhysicsNode(Node):
             self._digests.publish(state.stamp_ns, epoch, epoch_step)
         cameras = self._world_topics.publish_state(state, tick, epoch, epoch_step)
         if self._gate is not None:
+            self._last_tick = state, measured
             self._gate.publish_tick(state.stamp_ns, partial(self._topics_of_tick, cameras, measured))
+
+    def _publish_again(self, all_of_it: bool) -> None:
+        """Publishes what renderers draw by once more, or all of the present tick."""
+        if all_of_it and self._last_tick is not None and self.simulator.world is not None:
+            for robot, measurements in self._last_tick[1].items():
+                robot.publish_state(self.simulator.world, self._last_tick[0])
+                robot.publish_sensors(measurements)
+        self._world_topics.publish_state_again()
 
     def _topics_of_tick(self, cameras: tuple[CameraSpec, ...], measured: dict[RobotInterface, Measurements]) -> set[str]:
         """Returns what was, and will be, published at a tick; without leading slashes."""

@@ -55,7 +55,7 @@ class RecordNode(Node):
         super().__init__("record", **kwargs)
         self._intake: Intake | None = None
         self._config = config = config_from_parameters(self, RecordConfig)
-        self._wanted = {self.resolve_topic_name(t.strip()) for t in config.topics.split(",") if t.strip()}
+        self._wanted = {self.resolve_topic_name(topic) for topic in config.wanted_topics()}
         self._recording = Recording(config)
         self._seen: set[str] = set()
         self._unheard: dict[str, float] = {}

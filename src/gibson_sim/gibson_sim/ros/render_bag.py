@@ -33,7 +33,8 @@ from gibson_sim.ros import conversions, qos
 from gibson_sim.ros.bag_queue import BagQueue, Item, Picture, Raw
 from gibson_sim.ros.camera_messages import REGISTERED, REGISTERED_INFO, CameraMessages
 from gibson_sim.ros.camera_transforms import CameraTransforms
-from gibson_sim.ros.exact_bytes import exact_bytes, type_name
+from gibson_sim.ros.exact_bytes import exact_bytes
+from gibson_sim.ros.message_types import type_name_of
 from gibson_sim.ros.node_main import end_with_parent, keep_large_blocks
 from gibson_sim.ros.opening import open_renderer
 from gibson_sim.scenes.asset_paths import with_local_files
@@ -196,9 +197,9 @@ class _Rendering:
         for name, messages in self._cameras.items():
             for kind, message_type, topic in messages.topics():
                 if kind in self._kinds[name]:
-                    bag.add_topic(self._topics.prefix + topic, type_name(message_type), qos.SENSOR)
+                    bag.add_topic(self._topics.prefix + topic, type_name_of(message_type), qos.SENSOR)
             for _, message_type, topic in messages.label_topics():
-                bag.add_topic(self._topics.prefix + topic, type_name(message_type), qos.LATCHED)
+                bag.add_topic(self._topics.prefix + topic, type_name_of(message_type), qos.LATCHED)
 
     def _stream(self) -> Iterator[tuple[str, int, bytes]]:
         """Yields the messages between begin and end, before them the latched ones that were sent earlier, with the time of the begin."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -16,7 +15,6 @@ from gibson_sim.config import RenderConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.geometry.exposures import needs_previous
 from gibson_sim.geometry.transforms import Mat4, invert
-from gibson_sim.render.cache import default_folder
 from gibson_sim.render.context import open_context
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.ros import conversions, names, qos
@@ -24,13 +22,15 @@ from gibson_sim.ros.camera_publisher import REGISTERED, CameraPublisher
 from gibson_sim.ros.digest_publisher import DigestPublisher
 from gibson_sim.ros.lockstep_client import LockstepParticipant, wait_for_readers
 from gibson_sim.ros.node_main import run_node, spin_while, write_summary
+from gibson_sim.ros.opening import device_of, open_renderer
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.ros.render_stats import RenderStats
 from gibson_sim.ros.run_info import publish_run_info
 from gibson_sim.scenes.asset_paths import with_local_files
 from gibson_sim.scenes.spec import DrawnScene
+from gibson_sim.sensors.taking import PictureTaker
 from gibson_sim.simulation.lockstep import CAMERAS
-from gibson_sim.types import CameraSpec, Frame, SceneState as State
+from gibson_sim.types import Frame, SceneState as State
 
 _SCENE_PATIENCE_S = 2.0
 """States of another revision than that of the scene are no cause for a warning for so long: the two race over two topics."""
@@ -75,14 +75,14 @@ class RenderNode(Node):
         self._renderer: Renderer | None = None
         self._config = config_from_parameters(self, RenderConfig)
         open_context(
-            self._device, library=self._config.egl_library
+            device_of(self._config), library=self._config.egl_library
         ).close()  # fail now, with a clear message, not when the scene arrives
         self._scene: DrawnScene | None = None
         self._cameras: dict[int, CameraPublisher] = {}
         self._state_subscription: Any = None
         self._early: SceneState | None = None
         self._foreign_since = 0.0
-        self._previous: dict[str, State] = {}
+        self._taker: PictureTaker | None = None
         self._stats = RenderStats()
         self._lockstep: LockstepParticipant | None = None
         self._last_done: tuple[int, int] | None = None
@@ -90,16 +90,6 @@ class RenderNode(Node):
         self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
         self._diagnostics_pub = qos.make_publisher(self, DiagnosticArray, names.DIAGNOSTICS, qos.STATE)
         self.create_timer(1.0, self._publish_diagnostics, clock=Clock(clock_type=ClockType.STEADY_TIME))
-
-    @property
-    def _device(self) -> int | str | None:
-        return self._config.egl_uuid or (None if self._config.egl_device < 0 else self._config.egl_device)
-
-    @property
-    def _cache_folder(self) -> Path | None:
-        if self._config.cache == "none":
-            return None
-        return Path(self._config.cache) if self._config.cache else default_folder()
 
     def _on_scene(self, msg: Scene) -> None:
         """Loads the scene, then asks for states: a subscriber to the state is one that is ready to draw."""
@@ -119,20 +109,14 @@ class RenderNode(Node):
         started = time.monotonic()
         progress, anew = _Progress(self.get_logger().info), True
         if self._renderer is None:
-            self._renderer = Renderer(
-                scene,
-                device=self._device,
-                library=self._config.egl_library,
-                detail_px=self._config.detail_px,
-                compress_textures=self._config.compress_textures,
-                cache=self._cache_folder,
-                progress=progress,
-            )
+            self._renderer = open_renderer(scene, self._config, progress)
+            self._taker = PictureTaker(self._renderer)
         else:
             anew = self._renderer.update(scene, progress=progress)
         for warning in (*warnings, *self._renderer.warnings):
             self.get_logger().warning(warning)
-        self._previous = {}
+        assert self._taker is not None
+        self._taker.forget()
         self._scene = scene
         self._take_cameras(scene)
         info = self._renderer.info
@@ -217,7 +201,7 @@ class RenderNode(Node):
 
     def _draw(self, msg: SceneState, wanted: dict[int, frozenset[str]]) -> None:
         """Draws and publishes what is wanted of the cameras that are due."""
-        assert self._scene is not None
+        assert self._scene is not None and self._taker is not None
         stamp_ns, started = conversions.time_from_msg(msg.header.stamp), time.monotonic_ns()
         specs = {i: spec for i, kinds in wanted.items() if (spec := self._cameras[i].to_draw(kinds)) is not None}
         moving = [self._cameras[i].camera for i in wanted if needs_previous(self._cameras[i].camera)]
@@ -225,8 +209,8 @@ class RenderNode(Node):
         try:
             if specs or moving:
                 state = conversions.scene_state_from_msg(msg, self._scene.links)
-                frames = self._frames(state, list(specs.values()))
-                self._previous.update({camera.name: state for camera in moving})
+                frames = self._taker.take(state, list(specs.values())).frames()
+                self._taker.note(state, moving)
                 drawn = time.monotonic_ns()
                 messages = self._publish(dict(zip(specs, frames, strict=True)), wanted, state)
         except GibsonSimError as error:
@@ -240,21 +224,6 @@ class RenderNode(Node):
             self._digests.publish(stamp_ns, msg.epoch, msg.epoch_step)
         if frames:
             self._stats.add(started, drawn, time.monotonic_ns(), frames, messages)
-
-    def _frames(self, state: State, cameras: list[CameraSpec]) -> list[Frame]:
-        """Returns the images of cameras at a state, each with the motion since its own image before."""
-        assert self._renderer is not None
-        since: dict[int, tuple[State | None, list[int]]] = {}
-        for k, camera in enumerate(cameras):
-            previous = self._previous.get(camera.name) if needs_previous(camera) else None
-            if previous is not None and previous.stamp_ns >= state.stamp_ns:
-                previous = None  # time went back: what lies between the two is no motion
-            since.setdefault(id(previous), (previous, []))[1].append(k)
-        frames: dict[int, Frame] = {}
-        for previous, alike in since.values():
-            drawn = self._renderer.render(state, [cameras[k] for k in alike], previous)
-            frames.update(zip(alike, drawn, strict=True))
-        return [frames[k] for k in range(len(cameras))]
 
     def _publish(self, frames: dict[int, Frame], wanted: dict[int, frozenset[str]], state: State) -> list[str]:
         """Publishes images; returns the kinds of messages, each after the name of its camera."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from importlib import import_module
 from typing import Any
 
 import yaml
@@ -22,7 +21,8 @@ from gibson_sim.config import ReplayConfig
 from gibson_sim.errors import ConfigError, RecordError
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.executor import make_executor
-from gibson_sim.ros.lockstep_client import LockstepParticipant
+from gibson_sim.ros.lockstep_client import LockstepParticipant, reaches_all
+from gibson_sim.ros.message_types import message_class
 from gibson_sim.ros.node_main import goes_on, run_node, write_summary
 from gibson_sim.ros.params import config_from_parameters
 
@@ -237,7 +237,7 @@ class _Commands:
         self._publishers: dict[str, Publisher] = {}
         for item in commands:
             if item.name not in self._publishers:
-                self._publishers[item.name] = node.create_publisher(_message_class(item.type_name), item.name, qos.COMMAND)
+                self._publishers[item.name] = node.create_publisher(message_class(item.type_name), item.name, qos.COMMAND)
 
     def is_heard(self) -> bool:
         """Returns whether somebody listens to every topic."""
@@ -263,13 +263,8 @@ def _readers(node: Node, publisher: Publisher) -> list[str]:
 
 
 def _is_matched(node: Node, publisher: Publisher) -> bool:
-    """Returns whether all readers that are known of a topic get what is published from now on."""
-    return publisher.get_subscription_count() >= max(1, len(_readers(node, publisher)))
-
-
-def _message_class(type_name: str) -> Any:
-    package, _, name = type_name.partition("/msg/")
-    return getattr(import_module(f"{package}.msg"), name)
+    """Returns whether somebody reads a topic, and all such that are known get what is published from now on."""
+    return publisher.get_subscription_count() > 0 and reaches_all(node, publisher)
 
 
 def _look_away(data: bytes) -> None:

@@ -10,7 +10,6 @@ import sys
 import time
 from dataclasses import dataclass, field
 from functools import partial
-from importlib import import_module
 from typing import Any
 
 import rclpy
@@ -22,6 +21,7 @@ from rosgraph_msgs.msg import Clock
 
 from gibson_sim.ros import names
 from gibson_sim.ros.executor import make_executor
+from gibson_sim.ros.message_types import UNKNOWN, message_class
 from gibson_sim.ros.node_main import keep_large_blocks
 from gibson_sim.ros.top_view import Status, TopicRate, View, render
 from gibson_sim.types import NS_PER_S
@@ -98,10 +98,9 @@ class TopNode(Node):
             if name in self._counts or len(kinds) != 1 or not self.count_publishers(name):
                 continue
             count = self._counts[name] = _Count(kinds[0])
-            package, _, kind_name = kinds[0].partition("/msg/")
             try:
-                kind = getattr(import_module(f"{package}.msg"), kind_name)
-            except (AttributeError, ImportError):
+                kind = message_class(kinds[0])
+            except UNKNOWN:
                 continue  # its package is not installed here: it is listed without a rate
             count.subscription = self.create_subscription(kind, name, partial(_add, count), _LISTEN, raw=True)
 

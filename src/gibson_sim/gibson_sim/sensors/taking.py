@@ -47,8 +47,12 @@ class PictureTaker:
             (self._renderer.start(state, [cameras[number] for number in alike], previous), alike)
             for previous, alike in since.values()
         ]
-        self._previous.update({camera.name: state for camera in cameras if needs_previous(camera)})
+        self.note(state, cameras)
         return Taken(parts)
+
+    def note(self, state: SceneState, cameras: Sequence[CameraSpec]) -> None:
+        """Takes that cameras had a picture at a state, drawn or not: the motion in their next ones counts from here."""
+        self._previous.update({camera.name: state for camera in cameras if needs_previous(camera)})
 
     def forget(self) -> None:
         """Takes the next pictures as the first ones: the scene has changed."""

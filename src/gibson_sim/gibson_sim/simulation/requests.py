@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntFlag
 
+EPOCH_REQUESTS = ("reset_simulation", "set_simulation_state", "load_world")
+"""Services after which steps may count anew."""
+
 
 class ResetScope(IntFlag):
     """What a reset is about; 0 and 255 mean all of it."""

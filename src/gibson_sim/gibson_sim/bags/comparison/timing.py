@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gibson_sim.bags.comparison.recording import NS_PER_S, Arrivals
+from gibson_sim.bags.comparison.recording import Arrivals
 from gibson_sim.bags.reader import nominal_period_ns
+from gibson_sim.types import NS_PER_S
 
 SAME_CLOCK_S = 5.0
 """Log times and stamps that lie farther apart are taken to be of different clocks."""

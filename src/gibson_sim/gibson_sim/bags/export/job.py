@@ -10,8 +10,9 @@ from typing import Literal, get_args
 from gibson_sim.bags.export.poses import Poses, PoseSource
 from gibson_sim.bags.export.read import ExportCamera, Picture, find_cameras, nearest, pictures
 from gibson_sim.bags.progress import Advance
-from gibson_sim.bags.reader import NS_PER_S, BagReader
+from gibson_sim.bags.reader import BagReader
 from gibson_sim.errors import ConfigError, RecordError
+from gibson_sim.types import NS_PER_S
 
 Format = Literal["tum", "nerfstudio", "lerobot", "png"]
 FORMATS: tuple[Format, ...] = get_args(Format)

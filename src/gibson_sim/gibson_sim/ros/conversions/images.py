@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
@@ -78,22 +78,25 @@ def image_to_msg(pixels: NDArray[Any], encoding: str, stamp_ns: int, frame_id: s
     return msg
 
 
-def frame_to_image_msgs(frame: Frame, wanted: Collection[str] | None = None) -> dict[str, Image | CameraInfo]:
+def frame_to_image_msgs(
+    frame: Frame, wanted: Collection[str] | None = None, make_image: Callable[..., Any] = image_to_msg
+) -> dict[str, Any]:
     """Returns the messages of a frame by what they carry (see ``names.camera_topics``), all with the frame's stamp.
 
     Args:
         frame: its images.
         wanted: make only these; None = all.
+        make_image: makes a sensor_msgs/Image: ``image_to_msg``, or ``fast_images.image_to_bytes``.
     """
     camera, stamp = frame.camera, frame.stamp_ns
-    msgs: dict[str, Image | CameraInfo] = {}
+    msgs: dict[str, Any] = {}
     info = camera_info_to_msg(camera, stamp)
     for output, encoding in ENCODINGS.items():
         pixels = getattr(frame, output)
         if pixels is None:
             continue
         if wanted is None or output in wanted:
-            msgs[output] = image_to_msg(pixels, encoding, stamp, camera.optical_frame)
+            msgs[output] = make_image(pixels, encoding, stamp, camera.optical_frame)
         if wanted is None or f"{output}_info" in wanted:
             msgs[f"{output}_info"] = info
     return msgs
