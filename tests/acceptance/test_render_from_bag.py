@@ -27,8 +27,9 @@ from gibson_sim.geometry.transforms import pose_from_xyz_rpy  # noqa: E402
 from gibson_sim.render.renderer import Renderer  # noqa: E402
 from gibson_sim.robots.spec import Shape, VisualSpec  # noqa: E402
 from gibson_sim.ros import conversions  # noqa: E402
-from gibson_sim.ros.exact_bytes import exact_bytes, type_name  # noqa: E402
+from gibson_sim.ros.exact_bytes import exact_bytes  # noqa: E402
 from gibson_sim.ros.fast_images import image_to_bytes  # noqa: E402
+from gibson_sim.ros.message_types import type_name_of  # noqa: E402
 from gibson_sim.ros.render_bag import render_bag  # noqa: E402
 from gibson_sim.scenes.spec import DrawnScene, LightSpec  # noqa: E402
 from gibson_sim.types import OUTPUTS, CameraSpec, SceneState  # noqa: E402
@@ -201,7 +202,7 @@ def test_bytes_end_where_the_message_ends(tmp_path: Path) -> None:
     messages = {"/info": conversions.camera_info_to_msg(camera, 5), "/scene": conversions.scene_to_msg(scene, 5)}
     with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
         for topic, message in messages.items():
-            bag.add_topic(topic, type_name(type(message)))
+            bag.add_topic(topic, type_name_of(type(message)))
             bag.write(topic, exact_bytes(message), 5, 5)
     with BagReader(tmp_path / "bag") as reader:
         found = {topic: msg for topic, _, msg in reader.messages()}

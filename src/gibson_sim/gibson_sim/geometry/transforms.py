@@ -50,6 +50,14 @@ def matrix_from_quat(quat_xyzw: ArrayLike) -> NDArray[np.float64]:
     return out
 
 
+def turned(quat_xyzw: Quat, vector: Vec3) -> Vec3:
+    """Returns a vector turned by a unit quaternion, in plain floats: for one, a tenth of the time that arrays take."""
+    x, y, z, w = quat_xyzw
+    a, b, c = vector
+    u, v, t = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    return a + w * u + y * t - z * v, b + w * v + z * u - x * t, c + w * t + x * v - y * u
+
+
 def quat_from_matrix(rotation: ArrayLike) -> Quat:
     """Returns the unit quaternion (x, y, z, w), w >= 0, of a rotation matrix, shape (3, 3) (Shepperd's method)."""
     r = np.asarray(rotation, dtype=np.float64)

@@ -39,6 +39,7 @@ class BodyInWorld:
         self._urdf = physics_urdf(model, self._groups, concave=static)
         self.load(bullet)
         self.table = self._frame_table()
+        self._root_table = self.table.root
         self._outlines: list[tuple[int, Shape, Mat4, NDArray[np.float64]]] | None = None
 
     def load(self, bullet: Bullet) -> None:
@@ -55,7 +56,7 @@ class BodyInWorld:
     def root_state(self, bullet: Bullet) -> tuple[Pose, NDArray[np.float64], NDArray[np.float64]]:
         """Returns T_world_root, linear (m/s) and angular (rad/s) velocity of the root link's origin, world frame."""
         raw = np.array([bullet.raw_root(self.body)])
-        positions, quats, linear, angular = self.table.root.groups(raw)
+        positions, quats, linear, angular = self._root_table.groups(raw)
         x, y, z = positions[0].tolist()
         qx, qy, qz, qw = quats[0].tolist()
         return Pose((x, y, z), (qx, qy, qz, qw)), linear[0], angular[0]

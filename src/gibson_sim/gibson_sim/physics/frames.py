@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,20 @@ from gibson_sim.types import Quat
 
 F64 = NDArray[np.float64]
 _YZX, _ZXY = np.array([1, 2, 0]), np.array([2, 0, 1])
+
+
+def _rotation() -> F64:
+    """Returns (3, 3, 16): the rotation matrix of a unit quaternion q = (x, y, z, w), from the products q_i q_j, row by row."""
+    x, y, z, w = range(4)
+    out = np.zeros((3, 3, 4, 4))
+    for i, j, k in ((x, y, z), (y, z, x), (z, x, y)):
+        out[i, i, [w, i, j, k], [w, i, j, k]] = 1.0, 1.0, -1.0, -1.0
+        out[i, j, i, j], out[i, j, k, w] = 2.0, -2.0
+        out[j, i, i, j], out[j, i, k, w] = 2.0, 2.0
+    return out.reshape(3, 3, 16)
+
+
+_ROTATION = _rotation()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,6 +42,16 @@ class FrameTable:
     """(N, 3): origin of each link in its group's frame, metres."""
     link_turns: F64
     """(N, 4, 4): multiply a quaternion of the group's frame to that of the link."""
+    _arms: F64 = field(init=False)
+    """(N, 3, 16): make of the products of an inertial frame's quaternion with itself the way from there to the link's origin."""
+    _turns: F64 = field(init=False)
+    """(N, 4, 4): multiply a quaternion of the inertial frame to that of the link."""
+
+    def __post_init__(self) -> None:
+        group_turns = self.group_turns[self.rows]
+        arms = self.in_inertial[self.rows] + turn(group_turns[:, :, 3], self.offsets)
+        object.__setattr__(self, "_arms", np.einsum("xyp,ny->nxp", _ROTATION, arms))
+        object.__setattr__(self, "_turns", np.matmul(self.link_turns, group_turns))
 
     @staticmethod
     def joined(tables: Sequence[FrameTable]) -> FrameTable:
@@ -59,12 +83,12 @@ class FrameTable:
 
     def links(self, raw: F64) -> tuple[F64, F64, F64]:
         """Returns positions (N, 3), quaternions (N, 4) and twists (N, 6) of all links, world frame; ``raw`` as above."""
-        positions, quats, linear, angular = self.groups(raw)
-        rows = self.rows
-        spin, group_quats = angular[rows], quats[rows]
-        offsets = turn(group_quats, self.offsets)
-        twists = np.concatenate([linear[rows] + cross(spin, offsets), spin], axis=1)
-        return positions[rows] + offsets, np.matmul(self.link_turns, group_quats[:, :, None])[:, :, 0], twists
+        raw = raw.take(self.rows, 0)
+        quats, spin = raw[:, 3:7, None], raw[:, 10:]
+        products = (quats * raw[:, None, 3:7]).reshape(-1, 16, 1)
+        arms = np.matmul(self._arms, products)[:, :, 0]
+        twists = np.concatenate([raw[:, 7:10] + cross(spin, arms), spin], axis=1)
+        return raw[:, :3] + arms, np.matmul(self._turns, quats)[:, :, 0], twists
 
 
 def cross(a: F64, b: F64) -> F64:

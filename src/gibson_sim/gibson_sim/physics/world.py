@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gibson_sim.errors import CommandError, ConfigError, MeshError, PhysicsError
-from gibson_sim.geometry.transforms import Mat4, matrix_from_quat
+from gibson_sim.geometry.transforms import Mat4, turned
 from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.frames import FrameTable
@@ -248,11 +248,13 @@ class PhysicsWorld:
         qx, qy, qz, qw = state.quats_xyzw[row].tolist()
         return Pose((x, y, z), (qx, qy, qz, qw))
 
-    def base_twist(self, robot: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Returns (linear m/s, angular rad/s), each (3,), of the base's origin against the world, in the BASE frame."""
+    def base_twist(self, robot: str) -> tuple[Vec3, Vec3]:
+        """Returns linear (m/s) and angular (rad/s) velocity of the base's origin against the world, in the BASE frame."""
         state, row = self.state(), self._base_row(robot)
-        rotation = matrix_from_quat(state.quats_xyzw[row])
-        return state.twists[row, :3] @ rotation, state.twists[row, 3:] @ rotation
+        x, y, z, w = state.quats_xyzw[row].tolist()
+        *linear, p, q, r = state.twists[row].tolist()
+        inverse = (-x, -y, -z, w)
+        return turned(inverse, (linear[0], linear[1], linear[2])), turned(inverse, (p, q, r))
 
     def joint_states(self, robot: str) -> JointStates:
         """Returns the moving joints in the order of ``RobotSpec.moving_joints``; continuous joints count their turns."""

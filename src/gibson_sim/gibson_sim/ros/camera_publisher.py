@@ -9,6 +9,7 @@ from gibson_sim.config import RenderConfig
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.ros import qos
 from gibson_sim.ros.camera_messages import REGISTERED, CameraMessages
+from gibson_sim.ros.fast_images import image_to_bytes
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.types import CameraSpec, Frame, Output
 
@@ -64,7 +65,7 @@ class CameraPublisher:
             T_target_camera: to the optical frame of the camera that depth is registered to, at the frame's stamp; None = not wanted.
         """
         done = set()
-        for kind, message in self._messages.images(frame, wanted, T_target_camera):
+        for kind, message in self._messages.images(frame, wanted, T_target_camera, image_to_bytes):
             self._publishers[kind].publish(message)
             done.add(kind)
         return done

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import struct
 import time
 from collections.abc import Callable, Collection
 from typing import Any
 
 from rclpy.node import Node, NodeNameNonExistentError
+from rclpy.serialization import deserialize_message
 
 from gibson_msgs.msg import TickDone
 from gibson_sim.config import PhysicsConfig
@@ -26,6 +28,7 @@ _AGAIN_NS = NS_PER_S // 2
 """How often a participant that came back is given the present tick, until it has done it."""
 _SETTLED_NS = NS_PER_S // 2
 """For so long somebody who knows nothing of lockstep must have heard us before time begins: then we hear it, too."""
+_MOST_KNOWN = 256
 _FIRST_ANSWER_NS = 5 * NS_PER_S
 """After so long without its very first answer, what it listens to is published once more: it may have been lost."""
 
@@ -63,7 +66,9 @@ class LockstepGate:
         self.timeouts = 0
         self.failure: LockstepError | None = None
         """Why the run has to end."""
-        node.create_subscription(TickDone, names.TICK_DONE, self._on_done, qos.TICK_DONE)
+        self._known: dict[bytes, Any] = {}
+        """Messages by all their bytes but for the stamp: those of a participant differ in nothing else, tick after tick."""
+        node.create_subscription(TickDone, names.TICK_DONE, self._on_done, qos.TICK_DONE, raw=True)
 
     def publish_tick(self, stamp_ns: int, topics: Callable[[], Collection[str]]) -> None:
         """Takes note that a tick was published; ``topics`` says with what, if anybody wants to know."""
@@ -81,8 +86,25 @@ class LockstepGate:
         """Forgets the present tick: the simulation was reset."""
         self.core.restart()
 
-    def _on_done(self, msg: Any) -> None:
+    def _read(self, data: bytes) -> tuple[Any, int]:
+        """Returns a TickDone, whose own stamp may be that of another tick, and its stamp; a tenth of the time that rclpy takes."""
+        if data[1] != 1:  # not little-endian
+            msg = deserialize_message(data, TickDone)
+            return msg, conversions.time_from_msg(msg.stamp)
+        length = int.from_bytes(data[8:12], "little")
+        start = 12 + -(-length // 4) * 4
+        key = data[:start] + data[start + 8 :]
+        msg = self._known.get(key)
+        if msg is None:
+            if len(self._known) >= _MOST_KNOWN:
+                self._known.clear()
+            msg = self._known[key] = deserialize_message(data, TickDone)
+        seconds, nanoseconds = struct.unpack_from("<iI", data, start)
+        return msg, seconds * NS_PER_S + nanoseconds
+
+    def _on_done(self, data: bytes) -> None:
         now_ns, core, was_open = time.monotonic_ns(), self.core, self.core.is_open
+        msg, stamp_ns = self._read(data)
         name = msg.participant
         if msg.event == TickDone.JOIN:
             self._node.get_logger().info(f"lockstep: {name!r} takes part{f', after {msg.after}' if msg.after else ''}")
@@ -94,7 +116,7 @@ class LockstepGate:
             core.leave(name, now_ns)
         elif any(p.name == name for p in core.participants):
             sent = [topic.lstrip("/") for topic in msg.sent]
-            if core.done(name, conversions.time_from_msg(msg.stamp), sent, now_ns):
+            if core.done(name, stamp_ns, sent, now_ns):
                 self._came_back.discard(name)
         else:
             self._node.get_logger().warning(

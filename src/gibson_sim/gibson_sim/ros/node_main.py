@@ -8,17 +8,19 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import rclpy
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from gibson_sim.errors import GibsonSimError
+from gibson_sim.ros.executor import make_executor
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 _PR_SET_PDEATHSIG = 1
@@ -114,7 +116,7 @@ def run_node(make: Callable[[], Any], args: list[str] | None = None) -> None:
 
 def spin_while(node: Node, wanted: Callable[[], bool] = lambda: True) -> None:
     """Lets the node work as long as ``wanted()`` and nobody asks the process to end; looks at both several times a second."""
-    executor = SingleThreadedExecutor()
+    executor = make_executor()
     executor.add_node(node)
     while goes_on() and wanted():
         executor.spin_once(timeout_sec=0.1)
@@ -124,3 +126,16 @@ def write_summary(path: str, summary: dict[str, Any]) -> None:
     """Writes the summary as JSON, if there is a path to write it to."""
     if path:
         Path(path).write_text(json.dumps(summary, indent=2) + "\n")
+
+
+def wait_for_subscribers(node: Node, executor: Executor, wanted: Mapping[str, int], limit_s: float = 120.0) -> None:
+    """Works until topics have so many subscribers as ``wanted`` says, or warns after ``limit_s`` seconds and returns."""
+    deadline = time.monotonic() + limit_s
+    while goes_on():
+        missing = {topic: count for topic, count in wanted.items() if node.count_subscribers(topic) < count}
+        if not missing:
+            return
+        if time.monotonic() > deadline:
+            node.get_logger().warning(f"still too few subscribers after {limit_s:.0f} s, starting without: {missing}")
+            return
+        executor.spin_once(timeout_sec=0.05)

@@ -25,7 +25,7 @@ from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.fast_publish import FastClock
 from gibson_sim.ros.journal import Journal
 from gibson_sim.ros.lockstep_gate import LockstepGate
-from gibson_sim.ros.node_main import goes_on, run_node, started_by_launcher, write_summary
+from gibson_sim.ros.node_main import goes_on, run_node, started_by_launcher, wait_for_subscribers, write_summary
 from gibson_sim.ros.pacing import Pacer
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.ros.physics_stats import PhysicsStats
@@ -45,7 +45,6 @@ from gibson_sim.types import NS_PER_S, CameraSpec, SceneState
 
 _MOST_TICKS_OF_LOCKSTEP = 64
 """Ticks that nobody answers to, made in one turn."""
-WAIT_LIMIT_S = 120.0
 DISCOVERY_S, LATE_DISCOVERY_S = 3.0, 10.0
 """Within so long a new participant has heard of the others: usually, and on a busy machine."""
 
@@ -100,6 +99,7 @@ class PhysicsNode(Node):
         self._seen: tuple[PhysicsWorld | None, int] = (None, -1)
         self._seen_epoch = -1
         self._timer: Timer | None = None
+        self._due: tuple[CameraSpec, ...] = ()
         self._last_tick: tuple[SceneState, dict[RobotInterface, Measurements]] | None = None
         self._done = False
         self._standard = SimulationServices(self, self.simulator, config.service_prefix, self._journal.note)
@@ -307,39 +307,46 @@ class PhysicsNode(Node):
         self.simulator.step()
         config, step, stamp_ns = self._config, world.step_count, world.stamp_ns
         ticks = config.step_hz // config.publish_hz
-        # The whole state first: sensors that are due at this step then need no other one.
-        state = world.state() if step % ticks == 0 else None
-        measured = [(robot, robot.sensors.measure(world, step, stamp_ns)) for robot in self._robots.values()]
         asked_for = self.simulator.state is not SimulationState.PLAYING
-        if state is not None or asked_for or is_due(step, config.clock_hz, config.step_hz) or any(m for _, m in measured):
+        if is_tick := step % ticks == 0:
+            self._begin_tick(world, step // ticks)
+        measured = {robot: robot.sensors.measure(world, step, stamp_ns) for robot in self._robots.values()}
+        if not is_tick and (asked_for or is_due(step, config.clock_hz, config.step_hz) or any(measured.values())):
             self._clock_pub.publish(self._clock_message.serialize(stamp_ns))
-        if state is not None:
-            for robot in self._robots.values():
-                robot.publish_state(world, state, self._digests)
-        for robot, measurements in measured:
+        for robot, measurements in measured.items():
             if measurements:
                 robot.publish_sensors(measurements, self._digests)
-        if state is not None:
-            self._end_tick(state, step // ticks, dict(measured))
+        if is_tick:
+            self._end_tick(world.state(), measured)
         self._stats.end_step(stamp_ns)
         self._done = bool(config.duration) and stamp_ns >= config.duration * NS_PER_S
 
-    def _end_tick(self, state: SceneState, tick: int, measured: dict[RobotInterface, Measurements]) -> None:
-        """Publishes the state, last: who draws it may count on its transforms. In lockstep, the others then have their turn."""
+    def _begin_tick(self, world: PhysicsWorld, tick: int) -> None:
+        """Publishes what a tick begins with: first of all what controllers and renderers work by while the rest is being written."""
         simulator = self.simulator
-        epoch, epoch_step = simulator.epoch, simulator.epoch_step
+        self._clock_pub.publish(self._clock_message.serialize(world.stamp_ns))
+        for robot in self._robots.values():
+            robot.publish_odometry(world)
+        # The whole state now: sensors that are due at this step then need no other one.
+        state = world.state()
+        self._due = self._world_topics.publish_state(state, tick, simulator.epoch, simulator.epoch_step)
+        for robot in self._robots.values():
+            robot.publish_state(world, state, self._digests)
+
+    def _end_tick(self, state: SceneState, measured: dict[RobotInterface, Measurements]) -> None:
+        """Publishes the digests. In lockstep, the others then have their turn."""
         if self._digests is not None:
             self._digests.add(names.SCENE_STATE, state.links, state.positions, state.quats_xyzw, state.twists)
-            self._digests.publish(state.stamp_ns, epoch, epoch_step)
-        cameras = self._world_topics.publish_state(state, tick, epoch, epoch_step)
+            self._digests.publish(state.stamp_ns, self.simulator.epoch, self.simulator.epoch_step)
         if self._gate is not None:
             self._last_tick = state, measured
-            self._gate.publish_tick(state.stamp_ns, partial(self._topics_of_tick, cameras, measured))
+            self._gate.publish_tick(state.stamp_ns, partial(self._topics_of_tick, self._due, measured))
 
     def _publish_again(self, all_of_it: bool) -> None:
         """Publishes what renderers draw by once more, or all of the present tick."""
         if all_of_it and self._last_tick is not None and self.simulator.world is not None:
             for robot, measurements in self._last_tick[1].items():
+                robot.publish_odometry(self.simulator.world)
                 robot.publish_state(self.simulator.world, self._last_tick[0])
                 robot.publish_sensors(measurements)
         self._world_topics.publish_state_again()
@@ -361,21 +368,11 @@ class PhysicsNode(Node):
 
     def _wait_for_subscribers(self, executor: Executor) -> None:
         """Holds time until the topics in ``wait_for`` have their subscribers, so that nobody misses the start."""
-        wanted, deadline = self._config.wanted_subscribers(), time.monotonic() + WAIT_LIMIT_S
-        count = wanted.pop("cameras", 0)
-        cameras = self._world_topics.cameras
+        wanted, cameras = self._config.wanted_subscribers(), self._world_topics.cameras
         images = [names.camera_topics(camera.name)[output] for camera in cameras for output in camera.outputs]
-        wanted.update(dict.fromkeys(images, count))
-        count = wanted.pop("robots", 0)
-        wanted.update(dict.fromkeys((robot.truth_topic for robot in self._robots.values()), count))
-        while goes_on():
-            missing = {topic: count for topic, count in wanted.items() if self.count_subscribers(topic) < count}
-            if not missing:
-                return
-            if time.monotonic() > deadline:
-                self.get_logger().warning(f"still too few subscribers after {WAIT_LIMIT_S:.0f} s, starting without: {missing}")
-                return
-            executor.spin_once(timeout_sec=0.05)
+        wanted.update(dict.fromkeys(images, wanted.pop("cameras", 0)))
+        wanted.update(dict.fromkeys((robot.truth_topic for robot in self._robots.values()), wanted.pop("robots", 0)))
+        wait_for_subscribers(self, executor, wanted)
 
     def _report(self) -> None:
         self._stats.publish(self._stamp_ns, self._config.rate, self._robots.values())

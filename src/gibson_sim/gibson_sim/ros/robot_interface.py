@@ -176,8 +176,15 @@ class RobotInterface:
             twist = msg.twist if isinstance(msg, TwistStamped) else msg
             world.command(name, conversions.velocity_from_msg(twist, now))
 
+    def publish_odometry(self, world: PhysicsWorld) -> None:
+        """Publishes what the wheels say: it needs no state of the world."""
+        odometry = world.odometry(self.robot.name)
+        pose = conversions.odometry_pose(odometry)
+        twist = (odometry.linear, odometry.lateral, 0.0), (0.0, 0.0, odometry.angular)
+        self._odom_pub.publish(self._odom.serialize(world.stamp_ns, pose.position, pose.quat_xyzw, *twist))
+
     def publish_state(self, world: PhysicsWorld, state: SceneState, digests: DigestPublisher | None = None) -> None:
-        """Publishes where the robot is, with the stamp of the state."""
+        """Publishes where the robot is, but for ``publish_odometry``, with the stamp of the state; ``digests`` has all of it."""
         name, stamp = self.robot.name, state.stamp_ns
         if state.revision != self._rows_of:
             self._find_rows(state)
@@ -188,10 +195,8 @@ class RobotInterface:
             map_from_odom = pose_from_matrix(matrix_from_pose(base) @ invert(matrix_from_pose(odom_pose)))
             poses.append((*map_from_odom.position, *map_from_odom.quat_xyzw))
         self._tf_pub.publish(self._tf.serialize(stamp, poses))
-        twist = (odometry.linear, odometry.lateral, 0.0), (0.0, 0.0, odometry.angular)
-        self._odom_pub.publish(self._odom.serialize(stamp, odom_pose.position, odom_pose.quat_xyzw, *twist))
         linear, angular = world.base_twist(name)
-        truth_msg = self._truth.serialize(stamp, base.position, base.quat_xyzw, linear.tolist(), angular.tolist())
+        truth_msg = self._truth.serialize(stamp, base.position, base.quat_xyzw, linear, angular)
         self._truth_pub.publish(truth_msg)
         joints = world.joint_states(name)
         self._joints_pub.publish(self._joints.serialize(stamp, joints))

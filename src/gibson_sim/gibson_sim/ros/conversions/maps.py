@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from array import array
+from typing import TYPE_CHECKING
 
 import numpy as np
 from nav_msgs.msg import MapMetaData, OccupancyGrid
 
 from gibson_sim.ros.conversions.basics import header_to_msg, time_to_msg
-from gibson_sim.scenes.floor_map import FloorMap
+
+if TYPE_CHECKING:  # SciPy with it: 0.4 s that a render node, which has no map, would lose whenever it starts
+    from gibson_sim.scenes.floor_map import FloorMap
 
 _FREE, _OCCUPIED, _UNKNOWN = 0, 100, -1
 
