@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from support.scenes import write_room
 from support.simulation import Launched, Listener, require
@@ -22,9 +23,9 @@ from rosbags.highlevel import AnyReader  # noqa: E402
 
 from gibson_msgs.msg import TickDone  # noqa: E402
 from gibson_sim.ros import qos  # noqa: E402
-from support.clients import DEEP, step_of, steps_of  # noqa: E402
+from support.clients import DEEP, LaunchedNode, step_of, steps_of  # noqa: E402
 from support.lockstep import NAME, Controller  # noqa: E402
-from support.robots import write_gibson_bot  # noqa: E402
+from support.robots import GIBSON_BOT, write_gibson_bot  # noqa: E402
 
 pytestmark = pytest.mark.ros
 STEPS_A_TICK = 4
@@ -152,6 +153,32 @@ def test_a_renderer_that_stands_still_is_named_and_nothing_is_lost(start: Callab
     listener.spin_until(lambda: len(images) > before + 5, "images afterwards")
     steps = [step_of(stamp) for stamp in images]
     assert steps == list(range(steps[0], steps[-1] + 1, IMAGE_STEPS)), "each once"
+
+
+def test_several_render_nodes_draw_every_image_that_is_due(
+    start: Callable[..., Launched], listener: Listener, tmp_path: Path
+) -> None:
+    camera = yaml.safe_load(GIBSON_BOT.read_text(encoding="utf-8"))["cameras"][0] | {"width": 80, "height": 60}
+    cameras = [{**camera, "rate_hz": 10.0}, {**camera, "name": "left", "rate_hz": 6.0, "link": "base_link"}]
+    robot = write_gibson_bot(tmp_path / "two_cameras", cameras=cameras)
+    launched = start("--no-render", "--robot", str(robot), "--participants", f"{NAME}; render_a; render_b")
+    renderers = [
+        LaunchedNode("render", "-r", f"__node:=render_{letter}", "-p", f"cameras:={name}")
+        for letter, name in (("a", "camera"), ("b", "left"))
+    ]
+    try:
+        for renderer in renderers:
+            renderer.wait_for_line("triangles")
+        topics = (IMAGE, "left/image_raw")
+        controller = Controller(listener, images=topics)
+        listener.spin_until(lambda: all(len(controller.images[topic]) > 12 for topic in topics), "images")
+    finally:
+        launched.stop()
+        for renderer in renderers:
+            renderer.stop()
+    for topic, steps in zip(topics, (24, 40), strict=True):
+        found = [step_of(stamp) for stamp in controller.images[topic]]
+        assert found == list(range(steps, found[-1] + 1, steps)), topic
 
 
 def _said(launched: Launched, text: str) -> list[str]:

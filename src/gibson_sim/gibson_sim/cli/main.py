@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from gibson_sim import __version__
-from gibson_sim.cli import bag, bench, clients, compare, doctor, env, export, gallery, params, render, replay, run, top
+from gibson_sim.cli import bag, bench, clients, compare, doctor, env, export, gallery, params, render, replay, run, scene, top
 from gibson_sim.cli.exit_codes import ExitCode, table
 from gibson_sim.errors import AlreadyRunningError, GibsonSimError
 
@@ -55,7 +55,7 @@ def _parser() -> argparse.ArgumentParser:
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     run.add_parser(subparsers)
     clients.add_parsers(subparsers)
-    for command in (bag, bench, compare, doctor, env, export, gallery, params, render, replay, top):
+    for command in (bag, bench, compare, doctor, env, export, gallery, params, render, replay, scene, top):
         command.add_parser(subparsers)
     return parser
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -14,7 +15,7 @@ from gibson_sim.errors import MeshError, PhysicsError
 from gibson_sim.geometry.transforms import Mat4, matrices_from_poses, quat_from_matrix, transform_points
 from gibson_sim.physics.bullet import Bullet, BulletBody
 from gibson_sim.physics.frames import FrameTable, right_multiplication
-from gibson_sim.robots.rigid import RigidGroup, physics_urdf, rigid_groups
+from gibson_sim.robots.rigid import MOVING_TYPES, RigidGroup, physics_urdf, rigid_groups
 from gibson_sim.robots.spec import Shape
 from gibson_sim.robots.urdf import UrdfModel
 from gibson_sim.scenes.mesh import load_shape
@@ -27,8 +28,18 @@ _ENGINE_MESHES = (".obj", ".stl")
 class BodyInWorld:
     """A tree of links in the engine."""
 
-    def __init__(self, bullet: Bullet, name: str, model: UrdfModel, start: Pose, *, static: bool = False) -> None:
+    def __init__(
+        self,
+        bullet: Bullet,
+        name: str,
+        model: UrdfModel,
+        start: Pose,
+        *,
+        static: bool = False,
+        joints: Sequence[tuple[str, float]] = (),
+    ) -> None:
         self.name, self.model, self.start, self.static = name, model, start, static
+        self._start_joints = dict(joints)
         self.links = tuple(link.name for link in model.links)
         """Names of all links, the root first, without the body name."""
         self.full_links = tuple(f"{name}/{link}" for link in self.links)
@@ -43,8 +54,13 @@ class BodyInWorld:
         self._outlines: list[tuple[int, Shape, Mat4, NDArray[np.float64]]] | None = None
 
     def load(self, bullet: Bullet) -> None:
-        """Puts the body at its start, at rest, its joints at 0."""
+        """Puts the body at its start, at rest, its joints where they start."""
         self.body: BulletBody = bullet.load_urdf(self._urdf, self.start, self.name, static=self.static)
+        for name, position in self._start_joints.items():
+            if name not in self.body.joint_indices:
+                known = ", ".join(joint.name for joint in self.model.joints if joint.kind in MOVING_TYPES) or "none"
+                raise PhysicsError(f"{self.name!r} has no joint {name!r} that moves; known: {known}")
+            bullet.place_joint(self.body, self.body.joint_indices[name], position)
         self._hold_joints(bullet)
 
     def _hold_joints(self, bullet: Bullet) -> None:

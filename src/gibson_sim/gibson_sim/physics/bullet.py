@@ -332,6 +332,10 @@ class Bullet:
         center = linear - cross(angular[None], to_frame[None])[0]
         p.resetBaseVelocity(body.uid, center.tolist(), angular.tolist(), physicsClientId=self.client)
 
+    def place_joint(self, body: BulletBody, index: int, position: float) -> None:
+        """Puts a joint at ``position`` (radians or metres), at rest."""
+        p.resetJointState(body.uid, index, position, 0.0, physicsClientId=self.client)
+
     def damp_joint(self, body: BulletBody, index: int, damping: float) -> None:
         """Slows a joint by ``damping`` (N m s/rad or N s/m) times its speed."""
         p.changeDynamics(body.uid, index, jointDamping=damping, physicsClientId=self.client)

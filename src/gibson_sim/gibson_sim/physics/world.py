@@ -344,7 +344,9 @@ class PhysicsWorld:
         self.warnings += robot.warnings
 
     def _load_body(self, spec: BodySpec) -> None:
-        self._bodies[spec.name] = body = BodyInWorld(self._bullet, spec.name, spec.model, spec.start, static=spec.static)
+        self._bodies[spec.name] = body = BodyInWorld(
+            self._bullet, spec.name, spec.model, spec.start, static=spec.static, joints=spec.joints
+        )
         self.warnings += body.warnings
 
     def _name_links(self) -> None:

@@ -70,6 +70,8 @@ class Batch:
     """Some of it shows highlights."""
     looked: bool
     """Some of it wears a tint or a pattern."""
+    colored: bool
+    """Its vertices have colours, in the place of texture coordinates."""
     moving: bool
     """Its chunks belong to links, not to the world."""
     material: int
@@ -138,8 +140,8 @@ class _Pile:
         self.count += len(vertices)
 
 
-_Key = tuple[bool, int, int, Kind, bool, int]
-"""Moving, texture, maps, kind, unlit, link: the order of piles, so that those of one batch follow each other. What a look changes is
+_Key = tuple[bool, int, int, Kind, bool, bool, int]
+"""Moving, texture, maps, kind, unlit, colored, link: the order of piles, so that those of one batch follow each other. What a look changes is
 not in it: levels of detail and the order of drawing, and with them depth, labels and normals, must not depend on looks."""
 
 
@@ -198,7 +200,10 @@ def build_batches(
                 maps = map_sets.setdefault(tuple(map(id, found)), (len(map_sets), found))[0]
             row = table.row(material if part.uvs is not None else replace(material, texture=None), visual.look)
             vertices = _vertices(part, row, matrix_from_pose(visual.pose), label)
-            key = (link > 0, number, maps, _kind(material, texture), material.unlit, link)
+            colored = material.colored and part.colors is not None
+            if colored:
+                vertices["uv"] = _packed_colors(part.colors)
+            key = (link > 0, number, maps, _kind(material, texture), material.unlit, colored, link)
             piles.setdefault(key, _Pile()).add(vertices, part.triangles)
     if len(table.rows) > MAX_LABEL:
         raise ConfigError(f"the scene has {len(table.rows)} different materials, at most {MAX_LABEL} can be drawn")
@@ -288,10 +293,27 @@ def _vertices(part: MeshPart, material: int, T_link_visual: F64, label: tuple[in
     return out
 
 
+def _packed_colors(colors: NDArray[np.uint8] | None) -> F32:
+    """Returns (V, 2) float32 whose bytes are linear red, green, blue and 0 as 16-bit numbers, of sRGB colours (V, 3)."""
+    assert colors is not None
+    out = np.zeros((len(colors), 4), dtype="<u2")
+    out[:, :3] = _LINEAR16[colors]
+    return out.view("<f4")
+
+
+def _unpacked_colors(packed: F32) -> F32:
+    """Returns linear colours (V, 3), 0 to 1."""
+    return np.ascontiguousarray(packed).view("<u2").reshape(-1, 4)[:, :3].astype(np.float32) / np.float32(65535.0)
+
+
 def linear_from_srgb(value: float) -> float:
     """Returns the linear value, 0 to 1, of an sRGB one."""
     v = min(max(value, 0.0), 1.0)
     return v / 12.92 if v <= 0.04045 else float(((v + 0.055) / 1.055) ** 2.4)
+
+
+_LINEAR16 = np.array([round(65535.0 * linear_from_srgb(k / 255.0)) for k in range(256)], dtype=np.uint16)
+"""Linear 16-bit value by sRGB 8-bit value."""
 
 
 class _Joiner:
@@ -345,16 +367,17 @@ class _Joiner:
             self._progress("levels of detail", self._triangles / max(total, 1))
             first = self._chunk_count
             self._add(key, piles[key], shared.get(key))
-            moving, texture, maps, kind, unlit, _ = key
+            moving, texture, maps, kind, unlit, colored, _ = key
             rows = np.unique(np.concatenate([v["material"] for v in piles[key].vertices]))
             material = int(rows[0]) if len(rows) == 1 else -1
             shiny = not matte[rows].all() or (maps >= 0 and map_sets[maps][0] is not None)
             glossy, looked = not unlit and shiny, bool(looked_rows[rows].any())
-            if batches and settings(batches[-1]) == (moving, texture, maps, kind, unlit):
+            if batches and settings(batches[-1]) == (moving, texture, maps, kind, unlit, colored):
                 last = batches.pop()
                 first, material = last.first_chunk, material if material == last.material else -1
                 glossy, looked = glossy or last.glossy, looked or last.looked
-            batches.append(Batch(texture, kind, maps, unlit, glossy, looked, moving, material, first, self._chunk_count))
+            span = (first, self._chunk_count)
+            batches.append(Batch(texture, kind, maps, unlit, glossy, looked, colored, moving, material, *span))
         if self._index_count >= 2**31:
             raise ConfigError(
                 f"the scene has {self._triangles} triangles, at most {2**31 // 6} can be drawn; simplify its meshes"
@@ -387,7 +410,7 @@ class _Joiner:
 
     def _add(self, key: _Key, pile: _Pile, fixed: NDArray[np.bool_] | None) -> None:
         """Appends the chunks of one pile, all levels; what equals an earlier pile but for label, material and link uses its triangles."""
-        _, texture, maps, kind, _, link = key
+        _, texture, maps, kind, _, colored, link = key
         vertices = np.concatenate(pile.vertices)
         placement = np.zeros(1, dtype=PLACEMENT)
         if link:
@@ -401,12 +424,12 @@ class _Joiner:
         if kind == "blend":
             size = min(max(len(triangles) // BLEND_CHUNKS, 1), size)
         coarser, textured = self._coarser and kind != "blend", max(texture, maps) >= 0
-        digest = hashlib.sha256(repr((size, coarser, textured)).encode())
+        digest = hashlib.sha256(repr((size, coarser, textured, colored)).encode())
         for array in (vertices, triangles, *(() if fixed is None else (fixed,))):
             digest.update(np.ascontiguousarray(array).view(np.uint8).data)
         shape = self._shapes.get(digest.digest())
         if shape is None:
-            shape = self._shape(vertices, triangles, size, fixed, coarser, textured)
+            shape = self._shape(vertices, triangles, size, fixed, coarser, textured, colored)
             self._shapes[digest.digest()] = shape
         chunks, groups = len(shape["first"]), len(shape["error"])
         row = 0 if not link else sum(map(len, self._chunks["placement"]))
@@ -434,6 +457,7 @@ class _Joiner:
         fixed: NDArray[np.bool_] | None,
         coarser: bool,
         textured: bool,
+        colored: bool,
     ) -> dict[str, NDArray[Any]]:
         """Appends triangles, all levels, and returns their chunks and groups, the groups counted from 0."""
         clusters = build_clusters(
@@ -444,6 +468,7 @@ class _Joiner:
             size,
             fixed,
             coarser,
+            _unpacked_colors(vertices["uv"]) if colored else None,
         )
         starts, ends = clusters.starts, clusters.ends
         corners = vertices["position"][clusters.triangles]
@@ -478,9 +503,9 @@ class _Joiner:
         self._index_count += triangles.size
 
 
-def settings(batch: Batch) -> tuple[bool, int, int, Kind, bool]:
+def settings(batch: Batch) -> tuple[bool, int, int, Kind, bool, bool]:
     """Returns what batches have in common that may be drawn as one."""
-    return batch.moving, batch.texture, batch.maps, batch.kind, batch.unlit
+    return batch.moving, batch.texture, batch.maps, batch.kind, batch.unlit, batch.colored
 
 
 def _wound(vertices: NDArray[np.void], triangles: I64) -> I64:

@@ -35,6 +35,8 @@ REDUCTION = 0.85
 """A group whose triangles cannot be brought below this part of their number keeps them."""
 NORMAL_WEIGHT_M = 0.02
 """How far, metres, a surface may rather move than its normals turn by one radian: decides the order in which edges go."""
+COLOR_WEIGHT_M = 0.1
+"""How far, metres, a surface may rather move than the colour of a vertex change from black to white."""
 SMALLEST = 2048
 """Fewer triangles than this get no coarser levels: there is nothing to be won."""
 
@@ -94,6 +96,7 @@ def build_clusters(
     size: int,
     fixed: NDArray[np.bool_] | None = None,
     coarser: bool = True,
+    colors: F32 | None = None,
 ) -> Clusters:
     """Returns clusters of at most ``size`` triangles.
 
@@ -105,13 +108,14 @@ def build_clusters(
         size: triangles in a cluster.
         fixed: (V,), vertices that must stay where they are; None = none.
         coarser: make coarser levels too.
+        colors: (V, 3), linear, 0 to 1; None = the vertices have none.
     """
     order, ends = split(positions[triangles].mean(axis=1, dtype=np.float64), size)
     made = _Made()
     made.add(np.split(triangles[order], ends[:-1]), _boxes(positions, triangles[order], ends), -1, 0.0, 0)
     simplify = simplifier() if coarser and len(triangles) >= SMALLEST else None
     if simplify is not None:
-        _Work(simplify, positions, normals, uvs, triangles, size, fixed).coarsen(made)
+        _Work(simplify, positions, normals, uvs, triangles, size, fixed, colors).coarsen(made)
     return made.clusters()
 
 
@@ -163,14 +167,17 @@ class _Work:
         triangles: I64,
         size: int,
         fixed: NDArray[np.bool_] | None,
+        colors: F32 | None,
     ) -> None:
         self._function = simplify
         self._size = size
         self._positions = np.ascontiguousarray(positions, dtype=np.float32)
-        self._attributes = np.ascontiguousarray(np.hstack([normals, uvs]), dtype=np.float32)
+        tints = () if colors is None else (colors,)
+        self._attributes = np.ascontiguousarray(np.hstack([normals, uvs, *tints]), dtype=np.float32)
         # Errors of attributes count in the unit of positions: uvs as the distance that the texture slides over the surface.
         self._weights = np.array(
-            [NORMAL_WEIGHT_M] * 3 + [SLIDE_WEIGHT * _metres_per_uv(positions, uvs, triangles)] * 2, dtype=np.float32
+            [NORMAL_WEIGHT_M] * 3 + [SLIDE_WEIGHT * _metres_per_uv(positions, uvs, triangles)] * 2 + [COLOR_WEIGHT_M] * 3 * len(tints),
+            dtype=np.float32,
         )
         # Vertices of one place, told apart by their attributes, move together.
         self._place = places(self._positions)

@@ -157,7 +157,7 @@ class GlScene:
             "MOVING": batch.moving, "CUT": cut, "UNLIT": not lights, "TEXTURED": batch.texture >= 0 and (cut or color),
             "ONE_MATERIAL": batch.material >= 0, "NUMBERED": batch.material < 0 or batch.looked,
             "SURFACE": lights or "FLOW" in features, "TURNED": lights or "NORMALS" in features,
-            "LOOKED": color and batch.looked,
+            "LOOKED": color and batch.looked, "COLORED": color and batch.colored,
         }  # fmt: skip
         assert self._lighting is not None
         lit = (

@@ -20,6 +20,7 @@ _ATTRIBUTES = (
     (2, 1, GL.UNSIGNED_SHORT, None, "material"),
     (3, 2, GL.FLOAT, 0, "uv"),
     (4, 1, GL.UNSIGNED_INT, None, "label"),
+    (8, 4, GL.UNSIGNED_SHORT, 1, "uv"),  # where vertices have colours, these take the place of the texture coordinates
 )
 _PLACED = ((5, "link"), (6, "label"), (7, "material"))
 """Location and field of what is the same for a whole draw."""

@@ -23,6 +23,8 @@ class BodySpec:
     """Nothing moves it but a command to be elsewhere."""
     semantic_class: str = ""
     """Class of all its visuals; empty = unlabelled."""
+    joints: tuple[tuple[str, float], ...] = ()
+    """Names of joints and where they are at load and after a reset, radians or metres; those that are not named are at 0."""
 
     @property
     def links(self) -> tuple[str, ...]:

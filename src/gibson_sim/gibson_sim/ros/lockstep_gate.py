@@ -193,12 +193,14 @@ class LockstepGate:
         return bool(found) and all(map(self._reaches, found))
 
     def _reaches(self, endpoint: Any) -> bool:
-        """Returns whether all that the node of an endpoint listens to reaches it."""
+        """Returns whether all that the node of an endpoint listens to reaches it; not while its name has not arrived."""
         node = self._node
+        if not endpoint.node_namespace.startswith("/"):
+            return False
         try:
             found = node.get_subscriber_names_and_types_by_node(endpoint.node_name, endpoint.node_namespace)
         except NodeNameNonExistentError:
-            return False  # of a new node, its topics may be known first
+            return False
         topics = {topic for topic, _ in found}
         ours = [publisher for publisher in node.publishers if publisher.topic_name in topics]
         return all(reaches_all(node, publisher) for publisher in ours)

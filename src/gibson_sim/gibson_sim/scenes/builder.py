@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError, SceneNotFoundError
 from gibson_sim.geometry.transforms import pose_from_matrix
+from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.omissions import Omission, OmissionKind, kind_of
 from gibson_sim.robots.spec import Look, Shape, VisualSpec
 from gibson_sim.scenes.mesh import MeshLoader, shape_triangles
@@ -44,6 +45,8 @@ class SceneBuilder:
         self.root = Path(os.path.realpath(root))
         self.roots = (self.root, *extra_roots)
         self.loader = MeshLoader(self.roots, textures=False, max_bytes=max_bytes)
+        # Whoever read a body has checked where its files lie.
+        self._body_loader = MeshLoader((Path("/"),), textures=False, max_bytes=max_bytes)
         self.gravity: Vec3 = (0.0, 0.0, -9.81)
         self.ground_z: float | None = None
         self.floor_z: float | None = None
@@ -53,6 +56,7 @@ class SceneBuilder:
         self.starts: list[StartPose] = []
         self.visuals: list[VisualSpec] = []
         self.collisions: list[CollisionSpec] = []
+        self.bodies: list[BodySpec] = []
         self._visual_names: dict[str, int] = {}
         self._collision_names: dict[str, int] = {}
         self.warnings: list[Omission] = []
@@ -82,6 +86,20 @@ class SceneBuilder:
             raise SceneNotFoundError(f"{path}: cannot be read: {e.strerror or e}") from e
         self._files[Path(os.path.realpath(path))] = None
         return data
+
+    def add_body(self, body: BodySpec, description: Path) -> None:
+        """Adds something that moves; ``description`` and all its meshes become part of the digest.
+
+        Raises:
+            MeshError: a mesh cannot be read.
+        """
+        self.bodies.append(body)
+        self._files[Path(os.path.realpath(description))] = None
+        shapes = [v.shape for link in body.model.links for v in link.visuals]
+        shapes += [c.shape for link in body.model.links for c in link.collisions]
+        for mesh in dict.fromkeys(shape.mesh for shape in shapes if shape.kind == "mesh"):
+            for file in self._body_loader.mesh(Path(mesh)).files:
+                self._files[file] = None
 
     def mesh_shape(
         self, path: Path, matrix: F64, scale: Vec3, up_axis: UpAxis | None = None, unit_m: float | None = None
@@ -158,7 +176,8 @@ class SceneBuilder:
             floor_z = estimate_floor(*triangles, self.ground_z)
         return SceneSpec(
             self.name, self.root, self.digest(), tuple(self.visuals), tuple(self.collisions), self.ground_z, floor_z,
-            self.gravity, tuple(self.starts), self.light, (), tuple(self.warnings), other_floors=self.floors,
+            self.gravity, tuple(self.starts), self.light, (), tuple(self.warnings), bodies=tuple(self.bodies),
+            other_floors=self.floors,
         )  # fmt: skip
 
     def digest(self) -> str:

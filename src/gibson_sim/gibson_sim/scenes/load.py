@@ -34,7 +34,7 @@ def load_scene(name_or_path: str | Path, *, sdf_lamps: bool = False) -> SceneSpe
 
     Args:
         name_or_path: name of an installed scene; a folder with a scene.yaml, or with exactly one world; or a file: scene.yaml,
-            SDF world, Drake model directives, glTF, GLB, OBJ, DAE or STL.
+            SDF world, Drake model directives, glTF, GLB, OBJ, DAE, STL or PLY.
         sdf_lamps: lamps of an SDF world light it; False = they count as light from everywhere.
 
     Raises:

@@ -24,7 +24,7 @@ _LUMA = np.array([0.2126, 0.7152, 0.0722])
 def apply_look(material: Material, look: Look) -> Material:
     """Returns a material under a look, but for what concerns textures: tints of these and patterns are drawn by the renderer."""
     changes: dict[str, object] = {}
-    if look.is_tint and material.texture is None and look.pattern is None:
+    if look.is_tint and material.texture is None and not material.colored and look.pattern is None:
         changes["base_color"] = (*_tinted(material.base_color[:3], look), material.base_color[3])
     if look.metallic is not None:
         changes["metallic"] = look.metallic
@@ -35,7 +35,7 @@ def apply_look(material: Material, look: Look) -> Material:
 
 def is_drawn(material: Material, look: Look | None) -> bool:
     """Whether a look changes more than ``apply_look`` says: the renderer has to tint a texture, or to draw a pattern."""
-    return look is not None and (look.pattern is not None or (look.is_tint and material.texture is not None))
+    return look is not None and (look.pattern is not None or (look.is_tint and (material.texture is not None or material.colored)))
 
 
 def tint_matrix(look: Look) -> F64:

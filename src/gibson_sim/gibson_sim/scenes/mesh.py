@@ -22,6 +22,7 @@ from gibson_sim.robots.spec import Shape
 from gibson_sim.scenes.mesh_dae import load_dae
 from gibson_sim.scenes.mesh_gltf import load_gltf
 from gibson_sim.scenes.mesh_obj import load_obj
+from gibson_sim.scenes.mesh_ply import load_ply
 from gibson_sim.scenes.mesh_stl import load_stl
 from gibson_sim.scenes.mesh_types import LIGHT_GREY, Material, Mesh, MeshPart, TextureSource, UpAxis, merge
 from gibson_sim.scenes.primitives import primitive_mesh
@@ -33,7 +34,7 @@ __all__ = [
     "collision_triangles", "load_mesh", "load_shape", "primitive_mesh", "shape_triangles",
 ]  # fmt: skip
 
-MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".dae", ".stl")
+MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".dae", ".stl", ".ply")
 """Formats that can be read, lower case."""
 
 
@@ -124,6 +125,8 @@ class MeshLoader:
             parts, up_axis, unit_m = load_dae(path, data, self._textures, files, warn)
         elif suffix == ".stl":
             parts = load_stl(path, data)
+        elif suffix == ".ply":
+            parts = load_ply(path, data, self._textures, files, warn)
         else:
             raise MeshError(
                 f"{path}: {suffix or 'no suffix'!r} is not a mesh format that can be read; known: {', '.join(MESH_SUFFIXES)}"
@@ -132,7 +135,7 @@ class MeshLoader:
 
 
 def load_mesh(path: Path, allowed_roots: Sequence[Path]) -> Mesh:
-    """Returns the mesh in a glTF, GLB, OBJ, DAE or STL file, z up, metres. For several files use one ``MeshLoader``."""
+    """Returns the mesh in a glTF, GLB, OBJ, DAE, STL or PLY file, z up, metres. For several files use one ``MeshLoader``."""
     return MeshLoader(allowed_roots).mesh(path)
 
 

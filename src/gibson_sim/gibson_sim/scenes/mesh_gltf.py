@@ -32,6 +32,7 @@ from gibson_sim.scenes.mesh_types import (
     Material,
     MeshPart,
     build_part,
+    srgb8_from_linear,
     srgb_from_linear,
 )
 from gibson_sim.scenes.textures import TextureStore, Warn, is_inside, local_path
@@ -177,9 +178,10 @@ class _Reader:
         uvs = self._same_length(f"TEXCOORD_{uv_set}", attributes, len(vertices), 2)
         if uvs is not None and uv_matrix is not None:
             uvs = uvs @ uv_matrix[:2, :2].T + uv_matrix[:2, 2]
+        colors = None
         if material.texture is None and "COLOR_0" in attributes:
-            material = self._tinted(material, attributes["COLOR_0"])
-        return build_part(str(self.path), vertices, _triangles(indices, mode), normals, uvs, material, matrix)
+            colors = self._colors(attributes["COLOR_0"], len(vertices))
+        return build_part(str(self.path), vertices, _triangles(indices, mode), normals, uvs, material, matrix, colors)
 
     def _same_length(self, name: str, attributes: dict[str, Any], count: int, width: int) -> NDArray[Any] | None:
         if name not in attributes:
@@ -189,13 +191,12 @@ class _Reader:
             raise MeshError(f"{self.path}: {name} has shape {array.shape}, must be ({count}, {width}); the file is broken")
         return array
 
-    def _tinted(self, material: Material, accessor: int) -> Material:
-        """Returns the material times the mean vertex colour: single vertex colours are not drawn."""
-        mean = self._accessor(accessor)[:, :3].mean(axis=0)
-        tint = [srgb_from_linear(float(c)) for c in mean]
-        base = material.base_color
-        color = (base[0] * tint[0], base[1] * tint[1], base[2] * tint[2], base[3])
-        return replace(material, base_color=color)
+    def _colors(self, index: int, count: int) -> NDArray[np.uint8]:
+        """Returns the colours of vertices, (V, 3) sRGB; those of the file are linear, and their alpha is left out."""
+        linear = self._accessor(index)
+        if linear.shape[0] != count or linear.shape[1] not in (3, 4):
+            raise MeshError(f"{self.path}: COLOR_0 has shape {linear.shape}, must be ({count}, 3 or 4); the file is broken")
+        return srgb8_from_linear(linear[:, :3])
 
     def _accessor(self, index: int) -> NDArray[Any]:
         """Returns (count, width); normalised integers as float in [-1, 1] or [0, 1]."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gibson_sim.errors import MeshError
 from gibson_sim.robots.omissions import Omission, OmissionKind
@@ -54,11 +55,13 @@ def load_obj(path: Path, data: bytes, textures: TextureStore, files: list[Path],
     known = _materials(path, [name for line in rows["mtllib"][1] for name in _names(line, path)], textures, files, warn)
     faces = _faces_by_material(path, rows, (len(positions), len(texcoords), len(normals)))
     smooth = _smooth_normals(path, positions, faces)
+    colors = _colors(rows["v"][1])
     parts = []
     for name, face in faces.items():
         if name and name not in known:
             warn(f"{path}: material {name!r} is not defined in its .mtl; the surface is light grey")
-        part = _part(path, face, positions, texcoords, normals, smooth, known.get(name, Material(name)))
+        plain = Material(name) if colors is None else Material(name, (1.0, 1.0, 1.0, 1.0), unlit=True)
+        part = _part(path, face, positions, texcoords, normals, smooth, known.get(name, plain), colors)
         if part is not None:
             parts.append(part)
     return parts
@@ -81,6 +84,21 @@ def _table(path: Path, lines: list[str], width: int) -> F64:
     except ValueError as e:
         raise MeshError(f"{path}: a line of coordinates cannot be read: {e}; the OBJ is broken") from e
     return table
+
+
+def _colors(lines: list[str]) -> NDArray[np.uint8] | None:
+    """Returns the colours of vertices, (V, 3) sRGB, where every line has three more numbers, as scanners write them; else None."""
+    if len(lines[0].split()) < 6:
+        return None
+    try:
+        table = np.array(" ".join(lines).split(), dtype=np.float64).reshape(len(lines), -1)
+    except ValueError:
+        return None
+    if table.shape[1] not in (6, 7):
+        return None
+    values = np.nan_to_num(table[:, 3:6])
+    # Some write 0 to 1, some 0 to 255.
+    return np.asarray(np.rint(np.clip(values * (1.0 if values.max() > 1.0 else 255.0), 0.0, 255.0)), dtype=np.uint8)
 
 
 def _faces_by_material(
@@ -155,7 +173,14 @@ def _smooth_normals(path: Path, positions: F64, faces: dict[str, _Faces]) -> F64
 
 
 def _part(
-    path: Path, face: _Faces, positions: F64, texcoords: F64, normals: F64, smooth: F64 | None, material: Material
+    path: Path,
+    face: _Faces,
+    positions: F64,
+    texcoords: F64,
+    normals: F64,
+    smooth: F64 | None,
+    material: Material,
+    colors: NDArray[np.uint8] | None,
 ) -> MeshPart | None:
     p, t, n = face.positions.ravel(), face.uvs.ravel(), face.normals.ravel()
     if not len(p):
@@ -168,7 +193,8 @@ def _part(
     corner_normals = normals[n] if len(normals) else None
     if smooth is not None:
         corner_normals = smooth[p] if corner_normals is None else np.where((n >= 0)[:, None], corner_normals, smooth[p])
-    return build_part(str(path), positions[p], corner.reshape(-1, 3), corner_normals, uvs, material)
+    tints = None if colors is None else colors[p]
+    return build_part(str(path), positions[p], corner.reshape(-1, 3), corner_normals, uvs, material, None, tints)
 
 
 # Materials

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -72,6 +72,8 @@ class Material:
     occlusion_texture: TextureSource | None = None
     """Red = how much ambient light arrives, linear."""
     occlusion_strength: float = 1.0
+    colored: bool = False
+    """Every vertex has a colour of its own (``MeshPart.colors``), which multiplies ``base_color`` and takes the place of a texture."""
 
     @property
     def has_maps(self) -> bool:
@@ -93,6 +95,8 @@ class MeshPart:
     triangles: NDArray[np.uint32]
     """(F, 3), rows of ``vertices``."""
     material: Material = field(default_factory=Material)
+    colors: NDArray[np.uint8] | None = None
+    """(V, 3) sRGB, where the material is ``colored``; else None."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,6 +139,7 @@ class Mesh:
                 part.uvs,
                 part.triangles if np.linalg.det(m[:3, :3]) > 0 else np.ascontiguousarray(part.triangles[:, ::-1]),
                 part.material,
+                part.colors,
             )
             for part in self.parts
         )
@@ -194,6 +199,7 @@ def build_part(
     uvs: ArrayLike | None,
     material: Material,
     matrix: F64 | None = None,
+    colors: NDArray[np.uint8] | None = None,
 ) -> MeshPart | None:
     """Returns a checked part, or None if it has no triangles.
 
@@ -205,6 +211,7 @@ def build_part(
         uvs: (V, 2), v downwards, or None.
         material: its material.
         matrix: (4, 4) affine transform to apply, None = as they are.
+        colors: (V, 3) uint8 sRGB of the vertices, or None. Not used where there is a texture.
 
     Raises:
         MeshError: an index points nowhere, or a coordinate is NaN or infinite.
@@ -226,6 +233,7 @@ def build_part(
         v = v[used]
         n = None if n is None else n[used]
         uv = None if uv is None else uv[used]
+        colors = None if colors is None else colors[used]
     if matrix is not None:
         # What is not finite is refused below, with its row.
         with np.errstate(invalid="ignore", over="ignore"):
@@ -239,7 +247,9 @@ def build_part(
         raise MeshError(f"{what}: vertex {row} is {v[row].tolist()}, coordinates must be finite numbers; the file is broken")
     n = _fill_normals(v, t, n)
     uv32 = None if uv is None else np.nan_to_num(uv, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
-    return MeshPart(v32, n.astype(np.float32), uv32, np.ascontiguousarray(t, dtype=np.uint32), material)
+    colors = None if material.texture is not None else colors
+    material = material if colors is None else replace(material, colored=True)
+    return MeshPart(v32, n.astype(np.float32), uv32, np.ascontiguousarray(t, dtype=np.uint32), material, colors)
 
 
 def _fill_normals(vertices: F64, triangles: I64, normals: F64 | None) -> F64:
@@ -282,6 +292,13 @@ def fan(counts: I64) -> I64:
     first = np.repeat(starts, per_polygon)
     within = np.arange(int(per_polygon.sum())) - np.repeat(np.cumsum(per_polygon) - per_polygon, per_polygon)
     return np.stack([first, first + within + 1, first + within + 2], axis=1)
+
+
+def srgb8_from_linear(values: ArrayLike) -> NDArray[np.uint8]:
+    """Returns sRGB values, 0 to 255, of linear ones, 0 to 1; NaN becomes 0."""
+    v = np.clip(np.nan_to_num(np.asarray(values, dtype=np.float64)), 0.0, 1.0)
+    srgb = np.where(v <= 0.0031308, 12.92 * v, 1.055 * v ** (1 / 2.4) - 0.055)
+    return np.asarray(np.rint(srgb * 255.0), dtype=np.uint8)
 
 
 def srgb_from_linear(value: float) -> float:

@@ -14,12 +14,13 @@ from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
 from gibson_sim.robots.spec import Look, Shape
 from gibson_sim.scenes.builder import FAR_AWAY, SceneBuilder
 from gibson_sim.scenes.mesh_types import UpAxis
+from gibson_sim.scenes.scene_bodies import read_bodies, read_pose
 from gibson_sim.scenes.spec import LightSpec, PointLight, StartPose
 from gibson_sim.scenes.yaml_map import YamlMap
-from gibson_sim.types import Pose, Rgba, Vec3
+from gibson_sim.types import Rgba, Vec3
 
 F64 = NDArray[np.float64]
-_SCENE_KEYS = ("name", "description", "gravity", "ground_z", "floor_z", "floors", "light", "starts", "objects")
+_SCENE_KEYS = ("name", "description", "gravity", "ground_z", "floor_z", "floors", "light", "starts", "objects", "bodies")
 _LIGHT_KEYS = (
     "sun_direction", "sun", "sun_color", "shadows", "ambient", "background", "points",
     "environment", "environment_strength", "environment_yaw_deg", "environment_visible",
@@ -58,6 +59,7 @@ def read_scene_yaml(builder: SceneBuilder, path: Path) -> None:
     builder.light = _light(builder, path, YamlMap(top.value("light", {}) or {}, f"{path}: light", _LIGHT_KEYS))
     for index, item in enumerate(top.items("objects")):
         _object(builder, path, YamlMap(item, f"{path}: objects[{index}]", _OBJECT_KEYS))
+    read_bodies(builder, path, top.items("bodies"))
     floor = builder.floor_z if builder.floor_z is not None else builder.ground_z or 0.0
     names: set[str] = set()
     for index, item in enumerate(top.items("starts")):
@@ -120,7 +122,7 @@ def _object(builder: SceneBuilder, path: Path, item: YamlMap) -> None:
         raise SceneError(f"{item.where}: has {', '.join(given) or 'no shape'}; give exactly one of {', '.join(_SHAPES)}")
     name = item.text("name", Path(str(item.value("mesh", given[0]))).stem)
     item.where = f"{path}: object {name!r}"
-    matrix = matrix_from_pose(_pose(item))
+    matrix = matrix_from_pose(read_pose(item))
     if given[0] == "mesh":
         shape, at = _mesh(builder, path, item, item.text("mesh", ""), matrix)
     else:
@@ -134,13 +136,6 @@ def _object(builder: SceneBuilder, path: Path, item: YamlMap) -> None:
         builder.add_collision(name, shape, at)
     elif collision != "none":
         builder.add_collision(name, *_mesh(builder, path, item, collision, matrix))
-
-
-def _pose(item: YamlMap) -> Pose:
-    pose = YamlMap(item.value("pose", {}) or {}, f"{item.where}: pose", ("xyz", "rpy_deg"))
-    xyz = pose.vec3("xyz", (0.0, 0.0, 0.0), low=-FAR_AWAY, high=FAR_AWAY)
-    roll, pitch, yaw = (math.radians(angle) for angle in pose.vec3("rpy_deg", (0.0, 0.0, 0.0)))
-    return pose_from_xyz_rpy(xyz, (roll, pitch, yaw))
 
 
 def _mesh(builder: SceneBuilder, path: Path, item: YamlMap, name: str, matrix: F64) -> tuple[Shape, F64]:

@@ -1,5 +1,8 @@
 // Colours a surface, and fills what else was asked for. The target is sRGB, so everything here is linear.
 in vec2 v_uv;
+#ifdef COLORED
+in vec3 v_color;  // linear
+#endif
 #ifdef NUMBERED
 flat in uint v_material;
 #endif
@@ -66,6 +69,9 @@ void main() {
     vec4 color = material.color;
 #ifdef TEXTURED
     color *= texture(u_texture, v_uv);
+#endif
+#ifdef COLORED
+    color.rgb *= v_color;
 #endif
 #ifdef CUT
     if ((color.a < material.surface.z) != u_translucent) discard;

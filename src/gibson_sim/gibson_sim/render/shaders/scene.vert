@@ -3,6 +3,10 @@ layout(location = 0) in vec3 in_position;
 layout(location = 1) in vec3 in_normal;
 layout(location = 2) in uint in_material;
 layout(location = 3) in vec2 in_uv;
+#ifdef COLORED
+layout(location = 8) in vec4 in_color;  // linear
+out vec3 v_color;
+#endif
 #ifdef LABELS
 layout(location = 4) in uint in_label;  // semantic class, and instance in the upper half
 flat out uint v_label;
@@ -75,6 +79,9 @@ void main() {
     v_local = in_position;
 #endif
     v_uv = in_uv;
+#ifdef COLORED
+    v_color = in_color.rgb;
+#endif
 #ifdef NUMBERED
     v_material = in_material;
 #ifdef MOVING
