@@ -92,3 +92,10 @@ def other_listener(ros_domain: int) -> Iterator[Listener]:
     yield client
     client.close()
     context.try_shutdown()
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Shows what failed at the first attempt and not at the second: nothing is hidden."""
+    for report in terminalreporter.stats.get("rerun", ()):
+        terminalreporter.section(f"FLAKY: {report.nodeid} failed at its first attempt", yellow=True)
+        terminalreporter.line(report.longreprtext)

@@ -48,7 +48,7 @@ setup(
         "rich",
     ],
     extras_require={
-        "test": ["pytest", "pytest-xdist", "hypothesis"],
+        "test": ["pytest", "pytest-rerunfailures", "pytest-xdist", "hypothesis"],
         "cuda": ["cuda-bindings>=12.6"],
         "torch": ["torch>=2.3"],
         "lerobot": ["pyarrow>=15"],
