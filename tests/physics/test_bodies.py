@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -187,6 +188,139 @@ def test_door_swings_when_pushed_and_returns_to_zero_at_reset() -> None:
         assert abs(world.state().quats_xyzw[leaf_row][2]) > 0.02, "the ball opens the door"
         world.reset()
         assert world.state().quats_xyzw[leaf_row] == pytest.approx((0.0, 0.0, 0.0, 1.0))
+
+
+ASLEEP = 720
+"""Steps after which what rests has fallen asleep."""
+
+
+def twists(world: PhysicsWorld, name: str) -> float:
+    return float(np.abs(np.concatenate(world.body_twist(name))).max())
+
+
+def test_what_rests_falls_asleep_and_lies_perfectly_still() -> None:
+    with PhysicsWorld(SCENE) as world:
+        world.add_body(cube("a", at(0.0, 0.0, 0.1)))
+        world.step(ASLEEP)
+        before = world.body_pose("a")
+        world.step(ASLEEP)
+        assert (world.body_pose("a"), twists(world, "a")) == (before, 0.0)
+
+
+def test_a_sleeper_wakes_when_something_hits_it() -> None:
+    with PhysicsWorld(SCENE) as world:
+        world.add_body(cube("a", at(0.0, 0.0, 0.1)))
+        world.add_body(cube("b", at(-1.0, 0.0, 0.1)))
+        world.step(ASLEEP)
+        world.set_state("b", linear=(5.0, 0.0, 0.0))
+        world.step(120)
+        assert world.body_pose("a").position[0] > 0.02
+
+
+def test_a_sleeper_falls_when_what_it_lies_on_is_removed_or_moved() -> None:
+    with PhysicsWorld(SCENE) as world:
+        for x, name in ((0.0, "gone"), (1.0, "moved")):
+            world.add_body(cube(name, at(x, 0.0, 0.1), static=name == "moved"))
+            world.add_body(cube(f"on_{name}", at(x, 0.0, 0.3)))
+        world.step(ASLEEP)
+        world.remove("gone")
+        world.set_state("moved", at(5.0, 0.0, 0.1))
+        world.step(240)
+        assert world.body_pose("on_gone").position[2] == pytest.approx(0.1, abs=2e-3)
+        assert world.body_pose("on_moved").position[2] == pytest.approx(0.1, abs=2e-3)
+
+
+def test_a_sleeper_that_is_lifted_falls_and_one_that_is_pushed_moves() -> None:
+    with PhysicsWorld(SCENE) as world:
+        world.add_body(cube("a", at(0.0, 0.0, 0.1)))
+        world.step(ASLEEP)
+        world.set_state("a", at(0.0, 0.0, 1.0))
+        world.step(240)
+        assert world.body_pose("a").position[2] == pytest.approx(0.1, abs=2e-3)
+        world.step(ASLEEP)
+        world.set_state("a", linear=(2.0, 0.0, 0.0))
+        world.step(60)
+        assert world.body_pose("a").position[0] > 0.2
+
+
+def test_a_static_body_that_is_put_into_a_sleeper_pushes_it() -> None:
+    with PhysicsWorld(SCENE) as world:
+        world.add_body(cube("a", at(0.0, 0.0, 0.1)))
+        world.add_body(cube("wall", at(-0.3, 0.0, 0.1), static=True))
+        world.step(ASLEEP)
+        for i in range(300):
+            world.set_state("wall", at(-0.3 + 0.001 * i, 0.0, 0.1))
+            world.step()
+        assert world.body_pose("a").position[0] > 0.15
+
+
+def test_runs_with_sleepers_are_equal_to_the_bit_after_a_reset_and_in_a_new_world() -> None:
+    bodies = tuple(cube(f"c{k}", pose_from_xyz_rpy((0.3 * k, 0.0, 0.3), (0.1 * k, 0.2, 0.0))) for k in range(4))
+    scene = replace(SCENE, bodies=bodies)
+
+    def run(world: PhysicsWorld) -> bytes:
+        world.step(ASLEEP)
+        world.set_state("c0", linear=(3.0, 0.0, 0.0))
+        world.step(ASLEEP)
+        state = world.state()
+        return state.positions.tobytes() + state.quats_xyzw.tobytes() + state.twists.tobytes()
+
+    with PhysicsWorld(scene) as world:
+        first = run(world)
+        world.reset()
+        assert run(world) == first
+    with PhysicsWorld(scene) as world:
+        assert run(world) == first
+
+
+def test_rolling_friction_brings_a_ball_to_rest() -> None:
+    def ball(name: str, y: float, rolling: float) -> BodySpec:
+        body = cube(name, at(0.0, y, 0.1), shape=Shape("sphere", (0.1, 0.0, 0.0)))
+        link = replace(body.model.links[0], rolling_friction=rolling, spinning_friction=rolling)
+        return replace(body, model=replace(body.model, links=(link,)))
+
+    with PhysicsWorld(SCENE) as world:
+        world.add_body(ball("smooth", 0.0, 0.0))
+        world.add_body(ball("rough", 1.0, 0.01))
+        for name in ("smooth", "rough"):
+            world.set_state(name, linear=(1.0, 0.0, 0.0), angular=(0.0, 10.0, 0.0))
+        world.step(960)
+        assert twists(world, "rough") < 1e-3
+        assert world.body_twist("smooth")[0][0] > 0.9
+
+
+def test_joints_start_where_the_body_says_also_after_a_reset_and_in_a_new_world_to_the_bit() -> None:
+    box = Shape("box", (0.2, 0.2, 0.2))
+    mass = Inertial(1.0, Pose((0.2, 0.0, 0.0)), (0.01, 0.0, 0.0, 0.01, 0.0, 0.01))
+    links = [UrdfLink(name, (), (UrdfCollision(box, Pose((0.2, 0.0, 0.0))),), mass) for name in ("body", "flap", "drawer")]
+    flap = UrdfJoint("hinge", "revolute", "body", "flap", Pose((0.0, 0.0, 1.0)), (0.0, 1.0, 0.0), -2.0, 2.0, damping=0.01)
+    slide = UrdfJoint("slide", "prismatic", "body", "drawer", Pose((0.0, 0.0, 2.0)), (1.0, 0.0, 0.0), 0.0, 0.4, damping=0.1)
+    model = UrdfModel("chest", Path("/nowhere/c.urdf"), tuple(links), (flap, slide))
+    chest = BodySpec("chest", model, at(1.0, 2.0, 0.1), static=True, joints=(("hinge", -0.5), ("slide", 0.3)))
+    scene = replace(SCENE, bodies=(chest, cube("ball", at(1.3, 2.0, 3.0), shape=Shape("sphere", (0.1, 0.0, 0.0)))))
+
+    def run(world: PhysicsWorld) -> bytes:
+        world.step(200)
+        state = world.state()
+        return state.positions.tobytes() + state.quats_xyzw.tobytes() + state.twists.tobytes()
+
+    with PhysicsWorld(scene) as world:
+        start = world.state()
+        flap_row, drawer_row = world.links.index("chest/flap"), world.links.index("chest/drawer")
+        assert start.quats_xyzw[flap_row] == pytest.approx((0.0, math.sin(-0.25), 0.0, math.cos(-0.25)))
+        assert start.positions[drawer_row] == pytest.approx((1.3, 2.0, 2.1))
+        first = run(world)
+        world.reset()
+        assert world.state().positions.tobytes() == start.positions.tobytes()
+        assert run(world) == first
+    with PhysicsWorld(scene) as world:
+        assert run(world) == first
+
+
+def test_a_joint_that_is_not_there_cannot_start_anywhere() -> None:
+    body = replace(cube("a", at(0.0, 0.0, 1.0)), joints=(("hinge", 0.5),))
+    with pytest.raises(PhysicsError, match=r"'a' has no joint 'hinge'.*known: none"):
+        PhysicsWorld(replace(SCENE, bodies=(body,)))
 
 
 def test_thousands_of_bodies_come_and_go_without_a_trace() -> None:

@@ -87,6 +87,13 @@ def _children(pid: int) -> list[int]:
     return [int(child) for child in text.split()]
 
 
+def _replaced_ports() -> str:
+    """Returns which of this process's ports in shared memory another process has replaced: it hears nothing on them any more."""
+    maps = Path("/proc/self/maps").read_text().splitlines()
+    gone = sorted({line.split()[5] for line in maps if "fastrtps_port" in line and line.endswith("(deleted)")})
+    return f"; this process is deaf: replaced were {', '.join(gone)}" if gone else ""
+
+
 def wait_until(condition: Callable[[], bool], what: str) -> None:
     """Returns as soon as ``condition`` holds; fails after a patience that no healthy machine needs."""
     deadline = time.monotonic() + PATIENCE_S
@@ -125,7 +132,7 @@ class Listener:
         """Works until ``condition`` holds."""
         deadline = time.monotonic() + PATIENCE_S
         while not condition():
-            assert time.monotonic() < deadline, f"still no {what} after {PATIENCE_S:.0f} s"
+            assert time.monotonic() < deadline, f"still no {what} after {PATIENCE_S:.0f} s{_replaced_ports()}"
             self._executor.spin_once(timeout_sec=0.05)
 
     def close(self) -> None:

@@ -309,6 +309,8 @@ class Contact:
     """From b to a, unit vector, world frame."""
     force: float
     """N, along the normal."""
+    distance: float = 0.0
+    """Metres between the two surfaces; negative = they overlap."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -90,6 +90,7 @@ class Stair:
     tread: float
     """Depth of a step, metres."""
     steps: int
+    """Rises, all equal. There is one tread fewer, since the last rise ends on the floor above: the flight is ``(steps - 1) * tread`` long."""
     hole: tuple[Point, ...]
     """Corners of the hole in the floor above, counter-clockwise."""
 

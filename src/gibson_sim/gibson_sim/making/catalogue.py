@@ -16,8 +16,8 @@ class Kind:
     depth: Range
     width: Range
     height: Range
-    stands: Literal["wall", "free", "corner", "ceiling", "hangs", "lies"] = "wall"
-    """With its back to a wall; anywhere on the floor; in a corner; under the ceiling; on a wall; flat on the floor, to be walked on."""
+    stands: Literal["wall", "free", "corner", "ceiling", "hangs", "lies", "table"] = "wall"
+    """With its back to a wall; anywhere on the floor; in a corner; under the ceiling; on a wall; flat on the floor, to be walked on; on a table."""
     front: float = 0.6
     """Room to be left free before it."""
     lift: Range = (0.0, 0.0)
@@ -42,12 +42,13 @@ CATALOGUE: dict[str, Kind] = {
     "curtain": Kind("curtain", (0.08, 0.14), (0.35, 0.6), (2.1, 2.4), "hangs", 0.0, (0.05, 0.05)),
     "radiator": Kind("radiator", (0.08, 0.12), (0.6, 1.4), (0.5, 0.6), "hangs", 0.2, (0.12, 0.15)),
     # Kitchen and dining
-    "dining_table": Kind("table", (0.8, 1.0), (1.4, 2.0), (0.73, 0.76), "free", 0.7, top=True),
+    "dining_table": Kind("table", (0.7, 1.0), (0.8, 2.0), (0.73, 0.76), "free", 0.7, top=True),
     "chair": Kind("chair", (0.45, 0.52), (0.42, 0.48), (0.82, 0.95), "free", 0.0),
-    "kitchen_counter": Kind("counter", (0.6, 0.62), (1.2, 3.6), (0.9, 0.92), front=0.9, top=True),
-    "wall_cupboard": Kind("cabinet", (0.32, 0.36), (0.8, 2.4), (0.6, 0.75), "hangs", 0.0, (1.4, 1.5)),
+    "kitchen_counter": Kind("counter", (0.6, 0.62), (0.3, 3.6), (0.9, 0.92), front=0.9, top=True),
+    "wall_cupboard": Kind("cabinet", (0.32, 0.36), (0.4, 2.4), (0.6, 0.75), "hangs", 0.0, (1.4, 1.5)),
     "kitchen_sink": Kind("counter", (0.6, 0.62), (0.8, 1.0), (0.9, 0.92), front=0.9),
     "stove": Kind("stove", (0.6, 0.62), (0.6, 0.6), (0.9, 0.92), front=0.9),
+    "hob": Kind("stove", (0.6, 0.62), (0.6, 0.6), (0.29, 0.31), "hangs", 0.9, (0.61, 0.61)),  # a worktop with a hob, over an ``oven_body``
     "extractor_hood": Kind("hood", (0.45, 0.5), (0.6, 0.6), (0.7, 0.9), "hangs", 0.0, (1.55, 1.65)),
     "fridge": Kind("fridge", (0.62, 0.68), (0.6, 0.7), (1.75, 1.95), front=0.9),
     # Bedroom
@@ -67,10 +68,11 @@ CATALOGUE: dict[str, Kind] = {
     # Hall
     "shoe_cabinet": Kind("cabinet", (0.25, 0.35), (0.7, 1.1), (0.8, 1.0), front=0.6, top=True),
     "coat_rack": Kind("coat_rack", (0.2, 0.28), (0.7, 1.1), (0.3, 0.4), "hangs", 0.3, (1.5, 1.6)),
+    "railing": Kind("railing", (0.05, 0.06), (0.8, 5.0), (0.95, 1.0), "free", 0.0),  # around the hole of a stair; width along it
     # Office
     "desk": Kind("desk", (0.7, 0.8), (1.2, 1.6), (0.72, 0.75), front=0.9, top=True),
     "office_chair": Kind("chair", (0.6, 0.65), (0.6, 0.65), (0.95, 1.1), "free", 0.0),
-    "monitor": Kind("monitor", (0.18, 0.22), (0.5, 0.7), (0.42, 0.5), "hangs", 0.0),
+    "monitor": Kind("monitor", (0.18, 0.22), (0.5, 0.7), (0.42, 0.5), "table", 0.0),
     "filing_cabinet": Kind("cabinet", (0.55, 0.62), (0.4, 0.45), (1.0, 1.35), front=0.7, top=True),
     "meeting_table": Kind("table", (1.0, 1.3), (2.0, 3.2), (0.73, 0.75), "free", 0.8, top=True),
     "whiteboard": Kind("whiteboard", (0.03, 0.05), (1.2, 2.0), (0.9, 1.2), "hangs", 0.0, (0.9, 1.0)),
@@ -86,5 +88,5 @@ CATALOGUE: dict[str, Kind] = {
     "ceiling_lamp": Kind("lamp", (0.3, 0.45), (0.3, 0.45), (0.08, 0.12), "ceiling", 0.0),
     "pendant_lamp": Kind("lamp", (0.3, 0.5), (0.3, 0.5), (0.7, 0.9), "ceiling", 0.0),
     "panel_lamp": Kind("lamp", (0.6, 0.6), (0.6, 1.2), (0.03, 0.05), "ceiling", 0.0),
-    "desk_lamp": Kind("lamp", (0.15, 0.2), (0.3, 0.4), (0.4, 0.5), "hangs", 0.0),
+    "desk_lamp": Kind("lamp", (0.15, 0.2), (0.3, 0.4), (0.4, 0.5), "table", 0.0),
 }

@@ -28,6 +28,9 @@ _ENGINE_MESHES = (".obj", ".stl")
 class BodyInWorld:
     """A tree of links in the engine."""
 
+    sleeps = True
+    """It costs nothing while it rests."""
+
     def __init__(
         self,
         bullet: Bullet,
@@ -44,7 +47,7 @@ class BodyInWorld:
         """Names of all links, the root first, without the body name."""
         self.full_links = tuple(f"{name}/{link}" for link in self.links)
         """The same with it: ``<body>/<link>``."""
-        groups, warnings = rigid_groups(model)
+        groups, warnings = rigid_groups(model, fixed_root=static)
         self.warnings = [*model.warnings, *warnings]
         self._groups = tuple(self._readable(bullet, group) for group in groups)
         self._urdf = physics_urdf(model, self._groups, concave=static)
@@ -55,7 +58,7 @@ class BodyInWorld:
 
     def load(self, bullet: Bullet) -> None:
         """Puts the body at its start, at rest, its joints where they start."""
-        self.body: BulletBody = bullet.load_urdf(self._urdf, self.start, self.name, static=self.static)
+        self.body: BulletBody = bullet.load_urdf(self._urdf, self.start, self.name, static=self.static, sleeps=self.sleeps)
         for name, position in self._start_joints.items():
             if name not in self.body.joint_indices:
                 known = ", ".join(joint.name for joint in self.model.joints if joint.kind in MOVING_TYPES) or "none"

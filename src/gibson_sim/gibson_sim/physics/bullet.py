@@ -70,6 +70,8 @@ _VERTEX_LIMIT = 131_000
 """Vertices of one collision shape; PyBullet refuses arrays above 131,072 vertices or 524,288 indices."""
 _TRIANGLE_LIMIT = 174_000
 _FIRST_RAY_BIT = 6
+_SLEEP_THRESHOLD = 2.5e-5
+"""Sum of the squares of all speeds (m/s, rad/s) of a body below which it falls asleep after 2 s: a few millimetres a second."""
 MAX_BODIES_WITH_RAYS = 24
 """Bodies that rays can leave out: each needs a bit of the 32-bit collision group; Bullet owns the lowest six."""
 
@@ -98,6 +100,8 @@ class EngineContact:
     """From the other body to this one, unit vector, world frame."""
     force: float
     """N, along the normal."""
+    distance: float
+    """Metres between the two surfaces; negative = they overlap."""
 
 
 class BulletBody:
@@ -143,6 +147,11 @@ class Bullet:
             raise PhysicsError("PyBullet gives no more clients; close worlds that are no longer used")
         self._names: dict[int, str] = {}
         """The engine's number of a body -> its name."""
+        self._sleepers: set[int] = set()
+        """The engine's numbers of bodies that may fall asleep."""
+        self._wake = False
+        self._thrown: dict[int, tuple[list[float], list[float]]] = {}
+        """The same, with the velocities that they were given since the last step."""
         self._ray_bits = set(range(_FIRST_RAY_BIT, _FIRST_RAY_BIT + MAX_BODIES_WITH_RAYS))
         self._ray_threads = min(4, os.cpu_count() or 1)
         p.setTimeStep(1.0 / step_hz, physicsClientId=self._client)
@@ -179,7 +188,16 @@ class Bullet:
 
     def step(self) -> None:
         """Advances by one time step."""
+        if self._wake:
+            self._wake = False
+            for uid in sorted(self._sleepers):
+                p.changeDynamics(uid, -1, activationState=p.ACTIVATION_STATE_WAKE_UP, physicsClientId=self.client)
         p.stepSimulation(physicsClientId=self.client)
+        # Who slept stands still in the step that wakes it, and forgets how it was thrown.
+        for uid, (linear, angular) in self._thrown.items():
+            if not any(map(any, p.getBaseVelocity(uid, physicsClientId=self.client))):
+                p.resetBaseVelocity(uid, linear, angular, physicsClientId=self.client)
+        self._thrown.clear()
 
     # Static shapes
 
@@ -264,7 +282,11 @@ class Bullet:
             path.write_text(text)
         return path
 
-    def load_urdf(self, text: str, pose: Pose, name: str, *, static: bool = False) -> BulletBody:
+    def wake_all(self) -> None:
+        """Lets no body sleep on in the next step: what moves by itself wakes what it touches, what is put somewhere does not."""
+        self._wake = True
+
+    def load_urdf(self, text: str, pose: Pose, name: str, *, static: bool = False, sleeps: bool = False) -> BulletBody:
         """Adds a body whose root link frame is at ``pose``; its motors are off.
 
         Args:
@@ -272,10 +294,12 @@ class Bullet:
             pose: T_world_root.
             name: for error messages.
             static: its root never moves by itself.
+            sleeps: costs nothing while it rests, until something that moves touches it.
         """
         path = self.folder / "body.urdf"
         path.write_text(text, encoding="utf-8")
         flags = p.URDF_USE_INERTIA_FROM_FILE | p.URDF_MAINTAIN_LINK_ORDER | p.URDF_USE_IMPLICIT_CYLINDER
+        flags |= p.URDF_ENABLE_SLEEPING if sleeps else 0
         try:
             with _quiet():
                 uid = p.loadURDF(
@@ -295,6 +319,11 @@ class Bullet:
             p.changeDynamics(uid, i, jointDamping=0.0, physicsClientId=self.client)
             if p.getJointInfo(uid, i, physicsClientId=self.client)[2] != p.JOINT_FIXED:
                 p.setJointMotorControl2(uid, i, p.VELOCITY_CONTROL, force=0.0, physicsClientId=self.client)
+        if sleeps:
+            self._sleepers.add(uid)
+            state = p.ACTIVATION_STATE_ENABLE_SLEEPING
+            p.changeDynamics(uid, -1, activationState=state, sleepThreshold=_SLEEP_THRESHOLD, physicsClientId=self.client)
+        self.wake_all()
         return body
 
     def let_rays_pass(self, body: BulletBody, name: str) -> None:
@@ -310,6 +339,9 @@ class Bullet:
         """Takes a body out of the world."""
         p.removeBody(body.uid, physicsClientId=self.client)
         del self._names[body.uid]
+        self._sleepers.discard(body.uid)
+        self._thrown.pop(body.uid, None)
+        self.wake_all()
         if body.ray_bit:
             self._ray_bits.add(body.ray_bit)
 
@@ -318,6 +350,7 @@ class Bullet:
         quat = product(pose.quat_xyzw, body.root_inertial[1])
         center = np.array(pose.position) - turn(np.array([quat]), body.links_in_inertial[:1])[0]
         p.resetBasePositionAndOrientation(body.uid, center.tolist(), quat, physicsClientId=self.client)
+        self.wake_all()
 
     def set_velocity(self, body: BulletBody, quat_xyzw: Quat, linear: NDArray[np.float64], angular: NDArray[np.float64]) -> None:
         """Sets the velocity of the root link's origin.
@@ -331,10 +364,14 @@ class Bullet:
         to_frame = turn(np.array([product(quat_xyzw, body.root_inertial[1])]), body.links_in_inertial[:1])[0]
         center = linear - cross(angular[None], to_frame[None])[0]
         p.resetBaseVelocity(body.uid, center.tolist(), angular.tolist(), physicsClientId=self.client)
+        if body.uid in self._sleepers:
+            self._thrown[body.uid] = (center.tolist(), angular.tolist())
+        self.wake_all()
 
     def place_joint(self, body: BulletBody, index: int, position: float) -> None:
         """Puts a joint at ``position`` (radians or metres), at rest."""
         p.resetJointState(body.uid, index, position, 0.0, physicsClientId=self.client)
+        self.wake_all()
 
     def damp_joint(self, body: BulletBody, index: int, damping: float) -> None:
         """Slows a joint by ``damping`` (N m s/rad or N s/m) times its speed."""
@@ -350,7 +387,7 @@ class Bullet:
                 a, b, link_a, link_b, normal = b, a, link_b, link_a, tuple(-c for c in normal)
                 position = point[5]
             if force > 0.0 or distance <= 0.0:
-                out.append(EngineContact(link_a, self._names.get(b, ""), link_b, position, normal, force))
+                out.append(EngineContact(link_a, self._names.get(b, ""), link_b, position, normal, force, distance))
         return out
 
     def raw_states(self, body: BulletBody) -> list[tuple[float, ...]]:

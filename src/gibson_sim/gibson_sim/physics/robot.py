@@ -22,6 +22,8 @@ _HOLD_EFFORT = 100.0
 class RobotInWorld(BodyInWorld):
     """One robot in the engine, and what it was told."""
 
+    sleeps = False
+
     def __init__(self, bullet: Bullet, spec: RobotSpec, seed: int = 0) -> None:
         self.spec, self._seed = spec, seed
         model = read_urdf(spec.urdf)

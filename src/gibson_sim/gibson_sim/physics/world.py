@@ -171,7 +171,7 @@ class PhysicsWorld:
             other = self._robots.get(point.other) or self._bodies.get(point.other)
             link_b = "" if other is None else other.link_of_row(point.other_link)
             link_a = one.link_of_row(point.link)
-            out.append(Contact(name, link_a, point.other, link_b, point.position, point.normal, point.force))
+            out.append(Contact(name, link_a, point.other, link_b, point.position, point.normal, point.force, point.distance))
         return tuple(out)
 
     @property

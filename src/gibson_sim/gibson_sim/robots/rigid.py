@@ -44,6 +44,8 @@ class RigidGroup:
     collisions: list[tuple[Shape, Mat4]] = field(default_factory=list)
     """Shapes and T_group_shape."""
     friction: float | None = None
+    rolling_friction: float = 0.0
+    spinning_friction: float = 0.0
     mass: float = 0.0
     """kg."""
     center: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
@@ -52,10 +54,14 @@ class RigidGroup:
     """About the centre of mass, (3, 3), kg m^2."""
 
 
-def rigid_groups(model: UrdfModel) -> tuple[tuple[RigidGroup, ...], tuple[str, ...]]:
+def rigid_groups(model: UrdfModel, *, fixed_root: bool = False) -> tuple[tuple[RigidGroup, ...], tuple[str, ...]]:
     """Returns (groups, warnings): the root's group first, parents before children.
 
     A fixed link with its own friction stays a group, because friction belongs to a whole link in the engine.
+
+    Args:
+        model: the links.
+        fixed_root: nothing moves the root, so it needs no mass.
     """
     by_child = {joint.child: joint for joint in model.joints}
     groups: dict[str, RigidGroup] = {}
@@ -64,14 +70,14 @@ def rigid_groups(model: UrdfModel) -> tuple[tuple[RigidGroup, ...], tuple[str, .
         joint = by_child.get(link.name)
         above = None if joint is None else groups[home[joint.parent]]
         if joint is None or above is None:
-            group = RigidGroup(link.name, None, friction=link.friction)
+            group = _group(link, None)
             T_group_link: Mat4 = np.eye(4)
         else:
             T_group_link = above.members[joint.parent] @ matrix_from_pose(joint.pose)
             if joint.kind == "fixed" and _same_friction(above, link):
                 group = above
             elif joint.kind in (*MOVING_TYPES, "fixed"):
-                group = RigidGroup(link.name, joint, above.name, T_group_link, friction=link.friction)
+                group = _group(link, joint, above.name, T_group_link)
                 T_group_link = np.eye(4)
             else:
                 raise RobotError(
@@ -81,8 +87,15 @@ def rigid_groups(model: UrdfModel) -> tuple[tuple[RigidGroup, ...], tuple[str, .
         home[link.name] = group.name
         group.members[link.name] = T_group_link
         _add(group, link, T_group_link)
-    warnings = [text for group in groups.values() for text in _check_mass(model, group)]
+    warnings = [text for group in groups.values() for text in _check_mass(model, group) if group.joint or not fixed_root]
     return tuple(groups.values()), tuple(warnings)
+
+
+def _group(link: UrdfLink, joint: UrdfJoint | None, parent: str = "", T_parent_group: Mat4 | None = None) -> RigidGroup:
+    """Returns the group that begins with a link."""
+    at = np.eye(4) if T_parent_group is None else T_parent_group
+    rolling, spinning = link.rolling_friction, link.spinning_friction
+    return RigidGroup(link.name, joint, parent, at, friction=link.friction, rolling_friction=rolling, spinning_friction=spinning)
 
 
 def physics_urdf(model: UrdfModel, groups: tuple[RigidGroup, ...], *, concave: bool = False) -> str:
@@ -95,6 +108,9 @@ def physics_urdf(model: UrdfModel, groups: tuple[RigidGroup, ...], *, concave: b
         link = ET.SubElement(robot, "link", name=group.name)
         contact = ET.SubElement(link, "contact")
         ET.SubElement(contact, "lateral_friction", value=_text(DEFAULT_FRICTION if group.friction is None else group.friction))
+        for key, value in (("rolling_friction", group.rolling_friction), ("spinning_friction", group.spinning_friction)):
+            if value:
+                ET.SubElement(contact, key, value=_text(value))
         inertial = ET.SubElement(link, "inertial")
         ET.SubElement(inertial, "origin", xyz=_text(*group.center), rpy="0 0 0")
         ET.SubElement(inertial, "mass", value=_text(group.mass))
@@ -117,7 +133,10 @@ def _same_friction(group: RigidGroup, link: UrdfLink) -> bool:
         return True
     if not group.collisions:
         group.friction = link.friction
-    return link.friction is None or link.friction == group.friction
+        group.rolling_friction, group.spinning_friction = link.rolling_friction, link.spinning_friction
+    rolling = (link.rolling_friction, link.spinning_friction)
+    same_rolling = rolling in ((0.0, 0.0), (group.rolling_friction, group.spinning_friction))
+    return (link.friction is None or link.friction == group.friction) and same_rolling
 
 
 def _add(group: RigidGroup, link: UrdfLink, T_group_link: Mat4) -> None:

@@ -69,6 +69,10 @@ class UrdfLink:
     inertial: Inertial | None = None
     friction: float | None = None
     """Coulomb friction from ``<contact><lateral_friction value=""/></contact>`` (an extension of Bullet); None = not given."""
+    rolling_friction: float = 0.0
+    """Metres: what holds a round link back, from ``<rolling_friction value=""/>`` beside it."""
+    spinning_friction: float = 0.0
+    """Metres: the same about the normal of a contact, from ``<spinning_friction value=""/>``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,7 +263,15 @@ class _Reader:
         return UrdfLink(
             name, tuple(visuals), tuple(collisions), self.inertial(element.find("inertial"), where),
             None if friction is None else self.numbers(friction, "value", 1, where)[0],
+            self.contact(element, "rolling_friction", where), self.contact(element, "spinning_friction", where),
         )  # fmt: skip
+
+    def contact(self, element: ET.Element, key: str, where: str) -> float:
+        found = element.find(f"contact/{key}")
+        value = 0.0 if found is None else self.numbers(found, "value", 1, where)[0]
+        if value < 0:
+            raise RobotError(f"{self.path}: {where}: {key} is {value:g}, must not be negative")
+        return value
 
     def joint(self, element: ET.Element) -> UrdfJoint:
         name = self.text(element, "name")

@@ -25,6 +25,7 @@ from sensor_msgs.msg import Image
 from gibson_msgs.msg import SceneState as RosSceneState
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.executor import make_executor
+from gibson_sim.ros.fast_images import image_to_bytes
 from gibson_sim.ros.fast_publish import FastClock, FastSceneState
 from gibson_sim.ros.lockstep_client import LockstepParticipant
 from gibson_sim.ros.node_main import end_with_parent, keep_large_blocks
@@ -116,7 +117,7 @@ def ping(executor: str, form: str, bodies: int, count: int) -> dict[str, Any]:
 
 
 def image_source(width: int, height: int, hz: float, count: int) -> dict[str, Any]:
-    """Sends images at a rate, after a second of others that do not count. Returns ``sent``."""
+    """Sends images at a rate, as the render node does, after a second of others that do not count. Returns ``sent``."""
     node = Node("bench_image_source")
     publisher = node.create_publisher(Image, IMAGES, qos.SENSOR)
     pixels = np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
@@ -126,7 +127,7 @@ def image_source(width: int, height: int, hz: float, count: int) -> dict[str, An
     for number in range(warm_up + count + 1):
         time.sleep(max(0.0, start + number / hz - time.monotonic()))
         label = END if number == warm_up + count else "" if number < warm_up else str(number - warm_up)
-        publisher.publish(conversions.image_to_msg(pixels, "rgb8", time.monotonic_ns(), label))
+        publisher.publish(image_to_bytes(pixels, "rgb8", time.monotonic_ns(), label))
     deadline = time.monotonic() + PATIENCE_S
     while publisher.get_subscription_count() and time.monotonic() < deadline:
         time.sleep(0.05)

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError, SceneNotFoundError
-from gibson_sim.geometry.transforms import pose_from_matrix
+from gibson_sim.geometry.transforms import pose_from_matrix, transform_points
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.omissions import Omission, OmissionKind, kind_of
 from gibson_sim.robots.spec import Look, Shape, VisualSpec
+from gibson_sim.scenes.collision.parts import scan_shapes
 from gibson_sim.scenes.mesh import MeshLoader, shape_triangles
 from gibson_sim.scenes.mesh_types import TO_Z_UP, UpAxis, merge
 from gibson_sim.scenes.spec import CollisionSpec, LightSpec, SceneSpec, StartPose
@@ -164,6 +165,17 @@ class SceneBuilder:
     def add_collision(self, name: str, shape: Shape, matrix: F64) -> None:
         """Adds something that is bumped into, at T_world_shape."""
         self.collisions.append(CollisionSpec(_unique(name, self._collision_names), shape, pose_from_matrix(matrix)))
+
+    def add_simplified_collision(self, name: str, shape: Shape, matrix: F64) -> None:
+        """Adds what stands for a scan, at T_world_shape: boxes for its floors, and few triangles for the rest, under one name.
+
+        Raises:
+            SceneError: the user's cache cannot be written.
+        """
+        unique = _unique(name, self._collision_names)
+        vertices, triangles = self.loader.shape(shape).merged()
+        for simple, pose in scan_shapes(transform_points(matrix, vertices), triangles, f"{self.name}: {unique}"):
+            self.collisions.append(CollisionSpec(unique, simple, pose))
 
     def finish(self) -> SceneSpec:
         """Returns the scene."""

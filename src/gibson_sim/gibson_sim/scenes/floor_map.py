@@ -15,6 +15,7 @@ from scipy import ndimage
 
 from gibson_sim.errors import SceneError
 from gibson_sim.scenes.mesh import collision_triangles
+from gibson_sim.scenes.rasterise import ROUNDING, Grid, clip_to_slab, unit_normals
 from gibson_sim.scenes.spec import SceneSpec
 
 logger = logging.getLogger(__name__)
@@ -29,8 +30,15 @@ FLOOR_TOLERANCE = 0.10
 """A level surface this near to the floor's height is floor, metres."""
 _LEVEL = math.cos(math.radians(20.0))
 _MAX_CELLS = 16_000_000
-_ROUNDING = 1e-6
-_PAIRS_AT_ONCE = 200_000
+_CEILING = (1.8, 6.0)
+"""Metres above the floor: what is level and between these is a ceiling."""
+_CEILING_WIDTH = 0.6
+"""Metres: what is narrower is none."""
+_CEILING_LEVEL = math.cos(math.radians(50.0))
+_OPEN_SHARE = 0.2
+"""A region that ends in nothing along more than this part of its rim is outdoors: lawns, terraces."""
+_ROOM_AREA = 1.0
+"""Square metres: a smaller region is no room."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +53,10 @@ class FloorMap:
     """(H, W): something stands here between the floor and the robot's height."""
     floor: Bools
     """(H, W): there is floor to stand on. What is neither occupied nor floor is unknown."""
+    covered: Bools | None = None
+    """(H, W): a ceiling is above; None = not known."""
+    floor_z: float = 0.0
+    """Height of the floor, metres."""
     distance_to_obstacle: F64 = field(init=False)
     """(H, W): metres from the centre of a cell to the nearest point of a cell that is not free; 0 in such cells."""
 
@@ -69,7 +81,7 @@ class FloorMap:
     def cells(self, xy: ArrayLike) -> I64:
         """Returns row and column, (..., 2), of world points (..., 2); they may lie outside the grid."""
         points = np.asarray(xy, dtype=np.float64)
-        return np.floor((points - self.origin) / self.resolution + _ROUNDING).astype(np.int64)[..., ::-1]
+        return np.floor((points - self.origin) / self.resolution + ROUNDING).astype(np.int64)[..., ::-1]
 
     def centers(self, cells: ArrayLike) -> F64:
         """Returns world x, y, (..., 2), of the centres of cells given as row, column, (..., 2)."""
@@ -90,19 +102,38 @@ class FloorMap:
     def largest_free_region(self, radius: float = 0.0) -> Bools:
         """Returns (H, W): the largest connected part of the places for a disc of ``radius``; all False if there is none.
 
-        A part that touches the rim of the map is outdoors, so an enclosed part of 1 m^2 or more goes before it.
+        Indoors goes before outdoors, where a part of 1 m^2 or more is indoors: under a ceiling, or closed in by walls. A part is open
+        that touches the rim of the map, or ends in nothing as a lawn does. Where ceilings are known, closed parts without one (yards)
+        count little.
         """
-        labels, count = ndimage.label(self.inflate(radius) if radius > 0 else self.free)
-        if not count:
-            return np.zeros(self.shape, dtype=bool)
-        areas = np.bincount(labels.ravel(), minlength=count + 1) * self.resolution**2
+        places = self.inflate(radius) if radius > 0 else self.free
+        covered = np.zeros(self.shape, dtype=bool) if self.covered is None else self.covered
+        labels, count = ndimage.label(places & (covered | ~self._open()))
+        has_ceilings = (covered & places).sum() * self.resolution**2 >= _ROOM_AREA
+        worth = np.where(covered, 1.0, 0.02 if has_ceilings else 1.0)
+        areas = np.bincount(labels.ravel(), weights=worth.ravel(), minlength=count + 1) * self.resolution**2
         areas[0] = 0.0
-        enclosed = areas.copy()
-        free_labels, _ = ndimage.label(self.free)
-        rim = np.unique(np.concatenate([free_labels[0], free_labels[-1], free_labels[:, 0], free_labels[:, -1]]))
-        enclosed[np.unique(labels[np.isin(free_labels, rim[rim > 0])])] = 0.0
-        best = enclosed if enclosed.max() >= 1.0 else areas
-        return np.asarray(labels == int(best.argmax()))
+        if areas.max() >= _ROOM_AREA:
+            return np.asarray(labels == int(areas.argmax()))
+        labels, count = ndimage.label(places)
+        if not count:
+            return places
+        return np.asarray(labels == 1 + int(np.bincount(labels.ravel())[1:].argmax()))
+
+    def _open(self) -> Bools:
+        """Returns (H, W): free cells of regions that are not closed in."""
+        unknown, _ = ndimage.label(np.pad(~(self.floor | self.occupied), 1, constant_values=True))
+        outside = (unknown == unknown[0, 0])[1:-1, 1:-1]
+        labels, count = ndimage.label(self.free)
+        beside_nothing = ndimage.binary_dilation(np.pad(outside, 1, constant_values=True))[1:-1, 1:-1]
+        beside_anything = ndimage.binary_dilation(~self.free, border_value=True)
+        ends = np.bincount(labels[beside_nothing], minlength=count + 1)
+        rims = np.bincount(labels[beside_anything], minlength=count + 1)
+        is_open = ends > _OPEN_SHARE * rims
+        rim = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+        is_open[rim] = True
+        is_open[0] = False
+        return np.asarray(is_open[labels])
 
     def nearest_free(self, xy: tuple[float, float], radius: float = 0.0) -> tuple[float, float] | None:
         """Returns the centre of the nearest place for a disc of ``radius``, world metres; None if there is none."""
@@ -154,9 +185,33 @@ def make_floor_map(
     if high <= low:
         raise SceneError(f"floor map: robot_height is {robot_height:g} m, must be more than {FLOOR_CLEARANCE:g} m")
     tops, bottoms = corners[:, :, 2].max(axis=1), corners[:, :, 2].min(axis=1)
-    obstacles = _clip_to_slab(corners[(tops > low) & (bottoms < high)], low, high)
-    floors = corners[_is_floor(corners, floor_z)]
-    solid = [a.reshape(-1, 2) for a in (obstacles, floors[:, :, :2]) if len(a)]
+    obstacles = clip_to_slab(corners[(tops > low) & (bottoms < high)], low, high)
+    floors = corners[_is_floor(corners, floor_z)][:, :, :2]
+    grid = grid_about(floors, obstacles, resolution, floor_z, ground_plane)
+
+    floor = grid.cover(floors)
+    # Neighbouring floor tiles of a model may leave cracks.
+    floor = np.asarray(ndimage.binary_closing(np.pad(floor, 2), np.ones((3, 3)))[2:-2, 2:-2])
+    if ground_plane and floor.mean() < 0.2:
+        floor = np.ones(grid.shape, dtype=bool)
+    covered = under_ceiling(corners, floor_z, grid)
+    return FloorMap(grid.resolution, grid.origin, grid.cover(obstacles), floor, covered, floor_z)
+
+
+def grid_about(floors: F64, obstacles: F64, resolution: float, floor_z: float, ground_plane: bool) -> Grid:
+    """Returns the grid about polygons (P, K, 2) of floors and obstacles, world metres.
+
+    Args:
+        floors: may be none.
+        obstacles: may be none.
+        resolution: edge of a cell, metres; made coarser, with a warning, where the grid would become too large.
+        floor_z: for the message.
+        ground_plane: there is a floor also where there are no polygons.
+
+    Raises:
+        SceneError: there are neither floors nor obstacles nor a ground plane.
+    """
+    solid = [a.reshape(-1, 2) for a in (obstacles, floors) if len(a)]
     if not solid:
         if not ground_plane:
             raise SceneError(
@@ -164,20 +219,21 @@ def make_floor_map(
             )
         solid = [np.array([[-5.0, -5.0], [5.0, 5.0]])]
     box = np.concatenate(solid)
-    first, last = box.min(axis=0), box.max(axis=0)
-    resolution = _affordable(resolution, last - first)
-    # Whole multiples of the cell, so that maps of one scene line up; one cell of rim so that outdoors is connected.
-    first = np.floor(first / resolution + _ROUNDING) - 1
-    width, height = (int(n) for n in np.ceil(last / resolution - _ROUNDING) - first + 1)
-    origin = first * resolution
+    return Grid.around(box, _affordable(resolution, box.max(axis=0) - box.min(axis=0)))
 
-    floor = _rasterise((floors[:, :, :2] - origin) / resolution, (height, width))
-    # Neighbouring floor tiles of a model may leave cracks.
-    floor = np.asarray(ndimage.binary_closing(np.pad(floor, 2), np.ones((3, 3)))[2:-2, 2:-2])
-    occupied = _rasterise((obstacles - origin) / resolution, (height, width))
-    if ground_plane and floor.mean() < 0.2:
-        floor = np.ones((height, width), dtype=bool)
-    return FloorMap(resolution, (float(origin[0]), float(origin[1])), occupied, floor)
+
+def under_ceiling(corners: F64, floor_z: float, grid: Grid) -> Bools:
+    """Returns (H, W): cells below the level ones of triangles (F, 3, 3) at the height of a ceiling."""
+    middle = corners[:, :, 2].mean(axis=1) - floor_z
+    near = corners[(middle >= _CEILING[0]) & (middle <= _CEILING[1])]
+    level = near[np.abs(unit_normals(near)[:, 2]) >= _CEILING_LEVEL]
+    first = np.asarray(grid.origin)
+    last = first + grid.resolution * np.array(grid.shape[::-1])
+    inside = (level[:, :, :2].max(axis=1) > first).all(axis=1) & (level[:, :, :2].min(axis=1) < last).all(axis=1)
+    covered = grid.cover(level[inside][:, :, :2])
+    # Lintels, tops of walls and lamps are no ceilings.
+    width = max(1, round(_CEILING_WIDTH / grid.resolution))
+    return np.asarray(ndimage.binary_opening(covered, np.ones((width, width))))
 
 
 def _affordable(resolution: float, size: F64) -> float:
@@ -193,80 +249,7 @@ def _affordable(resolution: float, size: F64) -> float:
 def _is_floor(corners: F64, floor_z: float) -> Bools:
     """Returns (F,): triangles (F, 3, 3) that are level and at the height of the floor."""
     near = (np.abs(corners[:, :, 2] - floor_z) <= FLOOR_TOLERANCE).all(axis=1)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    length = np.linalg.norm(normals, axis=1)
-    return np.asarray(near & (np.abs(normals[:, 2]) >= _LEVEL * length) & (length > 0))
-
-
-def _clip_to_slab(corners: F64, low: float, high: float) -> F64:
-    """Returns the parts of triangles (F, 3, 3) between two heights, seen from above: closed polygons (F, 9, 2), corners repeated."""
-    if not len(corners):
-        return np.zeros((0, 9, 2))
-    slots, valid = [], []
-    for i in range(3):
-        a, b = corners[:, i], corners[:, (i + 1) % 3]
-        za, zb = a[:, 2], b[:, 2]
-        slots.append(a[:, :2])
-        valid.append((za >= low) & (za <= high))
-        # In the order in which the edge passes them.
-        up = (zb > za)[:, None]
-        near, far = np.where(up[:, 0], low, high), np.where(up[:, 0], high, low)
-        for z in (near, far):
-            with np.errstate(divide="ignore", invalid="ignore"):
-                t = (z - za) / (zb - za)
-            crosses = (za != zb) & (t > 0) & (t < 1)
-            slots.append(a[:, :2] + np.where(crosses, t, 0.0)[:, None] * (b - a)[:, :2])
-            valid.append(crosses)
-    points, used = np.stack(slots, axis=1), np.stack(valid, axis=1)
-    # An unused slot repeats the one used before it (cyclically), which adds an edge of length 0.
-    order = np.where(used, np.arange(9), -1)
-    before = np.maximum.accumulate(order, axis=1)
-    before = np.where(before < 0, order.max(axis=1, keepdims=True), before)
-    return np.asarray(np.take_along_axis(points, np.maximum(before, 0)[:, :, None], axis=1)[used.any(axis=1)])
-
-
-def _rasterise(polygons: F64, shape: tuple[int, int]) -> Bools:
-    """Returns (H, W): every cell that a convex polygon (P, K, 2), in cells, shares more than its rim with."""
-    grid = np.zeros((shape[0], shape[1] + 1), dtype=np.int32)
-    if not len(polygons):
-        return np.zeros(shape, dtype=bool)
-    first, last = _cell_range(polygons[:, :, 1].min(axis=1), polygons[:, :, 1].max(axis=1), shape[0])
-    counts = np.maximum(last - first + 1, 0)
-    ends = np.cumsum(counts)
-    for start in range(0, int(ends[-1]), _PAIRS_AT_ONCE):
-        pairs = np.arange(start, min(start + _PAIRS_AT_ONCE, int(ends[-1])))
-        which = np.searchsorted(ends, pairs, side="right")
-        rows = first[which] + pairs - (ends[which] - counts[which])
-        left, right = _extent_in_band(polygons[which], rows.astype(np.float64))
-        a, b = _cell_range(left, right, shape[1])
-        np.add.at(grid, (rows, a), 1)
-        np.add.at(grid, (rows, np.maximum(b + 1, a)), -1)
-    return np.asarray(np.cumsum(grid, axis=1)[:, :-1] > 0)
-
-
-def _cell_range(low: F64, high: F64, size: int) -> tuple[I64, I64]:
-    """Returns the first and last cell of closed intervals; an interval on the border of two cells belongs to the upper one."""
-    first = np.floor(low + _ROUNDING).astype(np.int64)
-    last = np.maximum(np.ceil(high - _ROUNDING).astype(np.int64) - 1, first)
-    return np.clip(first, 0, size - 1), np.clip(last, 0, size - 1)
-
-
-def _extent_in_band(polygons: F64, rows: F64) -> tuple[F64, F64]:
-    """Returns the smallest and the largest x of convex polygons (P, K, 2) within the bands rows <= y <= rows + 1."""
-    x, y = polygons[:, :, 0], polygons[:, :, 1]
-    bottom, top = rows[:, None], rows[:, None] + 1.0
-    inside = (y >= bottom - _ROUNDING) & (y <= top + _ROUNDING)
-    left = np.where(inside, x, np.inf).min(axis=1)
-    right = np.where(inside, x, -np.inf).max(axis=1)
-    dx, dy = np.roll(x, -1, axis=1) - x, np.roll(y, -1, axis=1) - y
-    for level in (bottom, top):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = (level - y) / dy
-        crosses = (dy != 0) & (t >= 0) & (t <= 1)
-        at = x + np.where(crosses, t, 0.0) * dx
-        left = np.minimum(left, np.where(crosses, at, np.inf).min(axis=1))
-        right = np.maximum(right, np.where(crosses, at, -np.inf).max(axis=1))
-    return left, right
+    return np.asarray(near & (np.abs(unit_normals(corners)[:, 2]) >= _LEVEL))
 
 
 def _distance_to_blocked(blocked: Bools, resolution: float) -> F64:

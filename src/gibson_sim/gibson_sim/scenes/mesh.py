@@ -27,7 +27,7 @@ from gibson_sim.scenes.mesh_stl import load_stl
 from gibson_sim.scenes.mesh_types import LIGHT_GREY, Material, Mesh, MeshPart, TextureSource, UpAxis, merge
 from gibson_sim.scenes.primitives import primitive_mesh
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
-from gibson_sim.scenes.textures import TextureStore, is_inside
+from gibson_sim.scenes.textures import Decode, TextureStore, is_inside
 
 __all__ = [
     "LIGHT_GREY", "MESH_SUFFIXES", "Material", "Mesh", "MeshLoader", "MeshPart", "TextureSource",
@@ -43,11 +43,12 @@ class MeshLoader:
 
     Args:
         allowed_roots: folders that meshes, textures and buffers must lie in, symbolic links followed.
-        textures: False = geometry only: textures are looked for, and warned about, but not decoded.
+        textures: False = geometry only: textures are looked for, and warned about, but not decoded; "sizes" = black images of the
+            right size.
         max_bytes: a larger mesh file is refused; None = any size.
     """
 
-    def __init__(self, allowed_roots: Sequence[Path], *, textures: bool = True, max_bytes: int | None = None) -> None:
+    def __init__(self, allowed_roots: Sequence[Path], *, textures: Decode = True, max_bytes: int | None = None) -> None:
         self.roots = tuple(allowed_roots)
         self.max_bytes = max_bytes
         self._textures = TextureStore(self.roots, textures)
@@ -63,6 +64,10 @@ class MeshLoader:
         if real not in self._meshes:
             self._meshes[real] = self._read(Path(path), real)
         return self._meshes[real]
+
+    def image_bytes(self, texture: TextureSource) -> bytes:
+        """Returns the image file of a texture of a mesh from here; the loader's ``textures`` must be "sizes"."""
+        return self._textures.encoded(texture)
 
     def shape(self, shape: Shape) -> Mesh:
         """Returns the triangles of a shape: its mesh file under its scale, or the primitive."""

@@ -83,7 +83,7 @@ class Ply:
             values = np.rint(np.clip(np.nan_to_num(values), 0.0, 1.0) * 255.0)
         elif values.dtype.itemsize == 2:
             values = values // 257
-        return np.clip(values, 0, 255).astype(np.uint8)
+        return np.asarray(np.clip(values, 0, 255), dtype=np.uint8)
 
     @property
     def polygon_of_triangle(self) -> I64:

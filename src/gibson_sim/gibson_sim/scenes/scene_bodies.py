@@ -100,10 +100,11 @@ def _position(joints: YamlMap, joint: UrdfJoint) -> float:
     low, high = (joint.lower, joint.upper) if limited else (-math.inf, math.inf)
     if joint.kind == "prismatic":
         return joints.number(joint.name, 0.0, low, high)
-    # Limits are often round degrees that no radian is: half a thousandth of a degree is no mistake.
-    slack = 5e-4
-    degrees = joints.number(joint.name, 0.0, math.degrees(low) - slack, math.degrees(high) + slack)
-    return min(max(math.radians(degrees), low), high)
+    if limited:
+        # Limits are often round degrees, which no radian is exactly: they are rounded outwards to a thousandth.
+        lowest, highest = math.floor(math.degrees(low) * 1000) / 1000, math.ceil(math.degrees(high) * 1000) / 1000
+        return min(max(math.radians(joints.number(joint.name, 0.0, lowest, highest)), low), high)
+    return math.radians(joints.number(joint.name, 0.0))
 
 
 def _check_name(name: str, builder: SceneBuilder, where: str) -> None:

@@ -134,6 +134,10 @@ def _object(builder: SceneBuilder, path: Path, item: YamlMap) -> None:
     collision = item.text("collision", "same")
     if collision == "same":
         builder.add_collision(name, shape, at)
+    elif collision == "simplified":
+        if shape.kind != "mesh":
+            raise SceneError(f"{item.where}: collision is simplified, which is for meshes; a {shape.kind} is as simple as can be")
+        builder.add_simplified_collision(name, shape, at)
     elif collision != "none":
         builder.add_collision(name, *_mesh(builder, path, item, collision, matrix))
 

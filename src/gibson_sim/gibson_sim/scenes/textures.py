@@ -5,16 +5,20 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Literal
 from urllib.parse import unquote
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.errors import MeshError
 from gibson_sim.robots.omissions import Omission, OmissionKind
+from gibson_sim.scenes.image_header import MAX_PIXELS, image_size
 from gibson_sim.scenes.mesh_types import TextureSource
 
 Warn = Callable[[str], None]
+Decode = bool | Literal["sizes"]
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".webp", ".gif", ".ppm")
 
 
@@ -37,13 +41,15 @@ class TextureStore:
 
     Args:
         roots: folders that images may lie in.
-        decode: False = only check that they are there, for users of geometry alone.
+        decode: False = only check that they are there, for users of geometry alone; "sizes" = black images of the size that their
+            headers say, which take no memory.
     """
 
-    def __init__(self, roots: Sequence[Path], decode: bool = True) -> None:
+    def __init__(self, roots: Sequence[Path], decode: Decode = True) -> None:
         self.roots = tuple(roots)
         self.decode = decode
         self._by_file: dict[Path, TextureSource | None] = {}
+        self._encoded: dict[int, tuple[TextureSource, bytes]] = {}
 
     def from_uri(self, uri: str, mesh: Path, files: list[Path], warn: Warn, *, search: bool = True) -> TextureSource | None:
         """Returns the image that ``mesh`` names, or None after a warning; with ``decode`` off always None.
@@ -54,6 +60,9 @@ class TextureStore:
             files: gets the path of the image.
             warn: takes one line on what is wrong.
             search: look in the usual folders near the mesh if it is not where it should be.
+
+        Raises:
+            MeshError: the image has more than ``MAX_PIXELS``.
         """
         wanted = local_path(uri, mesh.parent)
         path = wanted if wanted.is_file() else (self._nearby(wanted, mesh) if search else None)
@@ -73,7 +82,7 @@ class TextureStore:
         if not self.decode:
             return None
         if path not in self._by_file:
-            pixels = decode_image(path.read_bytes())
+            pixels = self._pixels(str(path), path.read_bytes())
             self._by_file[path] = None if pixels is None else TextureSource(str(path), pixels)
         if self._by_file[path] is None:
             text = f"{mesh}: texture {path.name} cannot be decoded ({path}); the surface is drawn without it"
@@ -81,14 +90,44 @@ class TextureStore:
         return self._by_file[path]
 
     def from_bytes(self, name: str, data: bytes, warn: Warn) -> TextureSource | None:
-        """Returns the image in ``data``, the bytes of an image file, or None after a warning."""
+        """Returns the image in ``data``, the bytes of an image file, or None after a warning.
+
+        Raises:
+            MeshError: the image has more than ``MAX_PIXELS``.
+        """
         if not self.decode:
             return None
-        pixels = decode_image(data)
+        pixels = self._pixels(name, data)
         if pixels is None:
             warn(f"{name} cannot be decoded ({len(data)} bytes); the surface is drawn without it")
             return None
-        return TextureSource(name, pixels)
+        source = TextureSource(name, pixels)
+        if self.decode == "sizes":
+            self._encoded[id(source)] = (source, data)
+        return source
+
+    def encoded(self, texture: TextureSource) -> bytes:
+        """Returns the image file of a texture that came from here with ``decode`` "sizes".
+
+        Raises:
+            OSError: it cannot be read any more.
+        """
+        return self._encoded[id(texture)][1] if id(texture) in self._encoded else Path(texture.name).read_bytes()
+
+    def _pixels(self, name: str, data: bytes) -> NDArray[np.uint8] | None:
+        """Returns what ``decode_image`` does, as far as it is wanted."""
+        size = image_size(data)
+        if self.decode == "sizes":
+            black = np.zeros((1, 1, 1), dtype=np.uint8)
+            return None if size is None else np.broadcast_to(black, (size.height, size.width, size.channels))
+        if size is None:
+            return None
+        if size.pixels > MAX_PIXELS:
+            raise MeshError(
+                f"{name}: has {size.width} x {size.height} pixels, {size.decoded_bytes / 2**20:.0f} MB in memory; "
+                f"at most {MAX_PIXELS // 2**20} million pixels are read. Scale it down: gibson-sim scene check SCENE --fix --output FOLDER"
+            )
+        return decode_image(data)
 
     def _nearby(self, wanted: Path, mesh: Path) -> Path | None:
         """Returns an image of the wanted name in the usual folders near the mesh, else the only image beside the mesh."""

@@ -1,0 +1,174 @@
+"""What is in a scene: sizes, triangles, materials, textures, floors, classes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
+from gibson_sim.importing.gravity import UpGuess, guess_unit, guess_up
+from gibson_sim.robots.spec import VisualSpec
+from gibson_sim.scenes.mesh import MeshLoader, scene_roots
+from gibson_sim.scenes.mesh_types import Mesh, TextureSource, merge
+from gibson_sim.scenes.spec import SceneSpec
+
+F64 = NDArray[np.float64]
+_MOST_LISTED = 12
+
+
+@dataclass(frozen=True, slots=True)
+class TextureFacts:
+    """One image."""
+
+    name: str
+    width: int
+    height: int
+    memory_mb: float
+    """Decoded, without smaller levels."""
+
+
+@dataclass(frozen=True, slots=True)
+class SceneFacts:
+    """Plain numbers; metres."""
+
+    name: str
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    objects: int
+    triangles: int
+    collision_triangles: int
+    materials: int
+    vertex_colors: bool
+    textures: tuple[TextureFacts, ...]
+    """The largest first."""
+    up_axis: str
+    """Of the scene, as its level surfaces say: z, unless it lies on its side."""
+    tilt_deg: float
+    """Of its floor against level."""
+    unit: str
+    """In which it has the size of a room or a building; "" = none."""
+    floors: tuple[float, ...]
+    classes: dict[str, int]
+    """Objects of each class."""
+    bodies: int
+    starts: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """Along x, y, z."""
+        x, y, z = (h - low for h, low in zip(self.high, self.low, strict=True))
+        return x, y, z
+
+    def json(self) -> dict[str, Any]:
+        """Returns everything as plain values."""
+        return {**asdict(self), "size": list(self.size)}
+
+    def text(self) -> str:
+        """Returns a table for people."""
+        memory = sum(t.memory_mb for t in self.textures)
+        lines = [
+            ("scene", self.name),
+            ("size", " x ".join(f"{s:.2f}" for s in self.size) + " m"),
+            ("from, to", f"({', '.join(f'{c:.2f}' for c in self.low)}) to ({', '.join(f'{c:.2f}' for c in self.high)})"),
+            ("objects", f"{self.objects}, and {self.bodies} that move" if self.bodies else f"{self.objects}"),
+            ("triangles", f"{self.triangles:,} to draw, {self.collision_triangles:,} to bump into"),
+            ("materials", f"{self.materials}" + (", with colours of vertices" if self.vertex_colors else "")),
+            ("textures", f"{len(self.textures)}, {memory:.0f} MB in memory"),
+            *(("", f"{t.width} x {t.height}  {Path(t.name).name}") for t in self.textures[:_MOST_LISTED]),
+            *([("", f"and {len(self.textures) - _MOST_LISTED} more")] if len(self.textures) > _MOST_LISTED else []),
+            ("up", f"{self.up_axis}, floor {self.tilt_deg:.2f} degrees out of level"),
+            ("unit", self.unit or "not clear: it has the size of no room or building in m, cm, mm, inch, foot or km"),
+            ("floors", ", ".join(f"{z:.2f}" for z in self.floors) + " m"),
+            ("classes", _classes(self.classes)),
+            ("starts", ", ".join(self.starts) or "the most open place"),
+        ]
+        return "\n".join(f"{name:>10}  {value}" for name, value in lines)
+
+
+def _classes(classes: dict[str, int]) -> str:
+    if not classes:
+        return "none"
+    ordered = sorted(classes.items(), key=lambda item: (-item[1], item[0]))
+    shown = ", ".join(f"{name} {count}" if count > 1 else name for name, count in ordered[:_MOST_LISTED])
+    return shown + (f" and {len(ordered) - _MOST_LISTED} more" if len(ordered) > _MOST_LISTED else "")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Geometry:
+    """Everything of a scene that is drawn, in the world frame; its images are black, of the right size."""
+
+    meshes: tuple[tuple[VisualSpec, Mesh], ...]
+    """World frame."""
+    vertices: F64
+    triangles: NDArray[np.int32]
+
+
+def scene_geometry(scene: SceneSpec) -> Geometry:
+    """Returns what is drawn of a scene.
+
+    Raises:
+        MeshError: a mesh cannot be read.
+    """
+    loader = MeshLoader(scene_roots(scene), textures="sizes")
+    meshes = tuple((v, loader.shape(v.shape)) for v in scene.visuals)
+    placed = [(transform_points(matrix_from_pose(v.pose), m.merged()[0]), m.merged()[1]) for v, m in meshes]
+    vertices, triangles = merge(placed)
+    return Geometry(meshes, vertices, triangles)
+
+
+def scene_facts(scene: SceneSpec, geometry: Geometry | None = None, up: UpGuess | None = None) -> SceneFacts:
+    """Returns what is in a scene.
+
+    Args:
+        scene: as it was loaded.
+        geometry: of ``scene_geometry``; None = read now.
+        up: of ``guess_up``; None = guessed now.
+
+    Raises:
+        MeshError: a mesh cannot be read.
+    """
+    g = geometry or scene_geometry(scene)
+    guess = up or guess_up(g.vertices, g.triangles)
+    low, high = (g.vertices.min(axis=0), g.vertices.max(axis=0)) if len(g.vertices) else (np.zeros(3), np.zeros(3))
+    loader = MeshLoader(scene_roots(scene), textures=False)
+    materials = {p.material for _, m in g.meshes for p in m.parts}
+    classes: dict[str, int] = {}
+    for visual in scene.visuals:
+        if visual.semantic_class:
+            classes[visual.semantic_class] = classes.get(visual.semantic_class, 0) + 1
+    x0, y0, z0 = (round(float(c), 4) for c in low)
+    x1, y1, z1 = (round(float(c), 4) for c in high)
+    return SceneFacts(
+        name=scene.name, low=(x0, y0, z0), high=(x1, y1, z1), objects=len(scene.visuals), triangles=len(g.triangles),
+        collision_triangles=sum(loader.shape(c.shape).triangle_count for c in scene.collisions), materials=len(materials),
+        vertex_colors=any(m.colored for m in materials), textures=texture_facts([m for _, m in g.meshes]),
+        up_axis=guess.axis, tilt_deg=round(guess.tilt_deg, 3), unit=guess_unit((high - low).tolist()),
+        floors=tuple(scene.floors), classes=classes, bodies=len(scene.bodies), starts=tuple(s.name for s in scene.starts),
+        warnings=tuple(map(str, scene.warnings)),
+    )  # fmt: skip
+
+
+def textures_of(meshes: Sequence[Mesh]) -> list[TextureSource]:
+    """Returns every image once."""
+    found: dict[int, TextureSource] = {}
+    for mesh in meshes:
+        for part in mesh.parts:
+            m = part.material
+            for texture in (m.texture, m.metallic_roughness_texture, m.normal_texture, m.occlusion_texture, m.emissive_texture):
+                if texture is not None:
+                    found.setdefault(id(texture), texture)
+    return list(found.values())
+
+
+def texture_facts(meshes: Sequence[Mesh]) -> tuple[TextureFacts, ...]:
+    """Returns the images of meshes, the largest first."""
+    facts = [
+        TextureFacts(t.name, t.pixels.shape[1], t.pixels.shape[0], round(t.pixels.size / 2**20, 2)) for t in textures_of(meshes)
+    ]
+    return tuple(sorted(facts, key=lambda t: (-t.memory_mb, t.name)))

@@ -1,0 +1,170 @@
+"""Writes a copy of a scene with what can be mended mended: level, in metres, faces the right way round, textures of a size that fits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import SceneError
+from gibson_sim.geometry.transforms import matrix_from_pose
+from gibson_sim.importing.check import MAX_SIDE, Report, check_path
+from gibson_sim.importing.document import ImportedObject, ImportedScene, write_scene
+from gibson_sim.importing.faults import find_faults
+from gibson_sim.importing.gravity import guess_up, rotation_to_z
+from gibson_sim.importing.importers import assigned, light_document
+from gibson_sim.importing.labels import some_triangles
+from gibson_sim.robots.spec import Shape
+from gibson_sim.scenes.mesh import MeshLoader, scene_roots
+from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart, TextureSource
+from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.scenes.textures import decode_image
+from gibson_sim.types import Pose
+
+F64 = NDArray[np.float64]
+MOST_PIXELS = 16384 * 16384
+"""An image with more is not even opened to make it smaller."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fix:
+    """What to mend."""
+
+    unit_m: float | None = None
+    """The scene's lengths are to be multiplied by this; None = they are metres."""
+    max_texture: int = MAX_SIDE
+    """Longest side, pixels."""
+    level: bool = True
+    """Turn the scene so that its floor is level."""
+
+
+def fix_scene(report: Report, output: Path, fix: Fix) -> tuple[Path, Report]:
+    """Writes a mended copy of a scene and checks it.
+
+    Args:
+        report: of the scene.
+        output: new folder.
+        fix: what to mend.
+
+    Returns:
+        The scene.yaml, and the report on it.
+
+    Raises:
+        SceneError: the scene cannot be read, or the folder not be written.
+    """
+    if report.scene is None or report.geometry is None:
+        raise SceneError(f"the scene cannot be read, so nothing can be mended: {report.findings[0].text}")
+    if report.scene.bodies:
+        raise SceneError(f"scene {report.scene.name!r} has bodies that move; mend the meshes that it is made of one by one")
+    scene = report.scene
+    matrix = np.eye(4)
+    if fix.level:
+        matrix[:3, :3] = rotation_to_z(guess_up(report.geometry.vertices, report.geometry.triangles).up)
+    matrix[:3, :3] *= fix.unit_m or 1.0
+    textures = _Textures(fix.max_texture)
+    out = ImportedScene(scene.name, "mended scene", scene.root)
+    moved = not np.allclose(matrix, np.eye(4), atol=1e-6)
+    if not moved:
+        out.floors, out.ground_z = scene.floors, scene.ground_z
+    out.light, out.gravity = light_document(scene.light), None if scene.gravity == (0.0, 0.0, -9.81) else scene.gravity
+    out.starts = [_start(s.name, s.pose, matrix) for s in scene.starts] if not moved else []
+    out.objects = list(_objects(scene, matrix, textures))
+    return (file := write_scene(out, output)), check_path(file)
+
+
+def _start(name: str, pose: Pose, matrix: F64) -> dict[str, object]:
+    at = matrix @ matrix_from_pose(pose)
+    yaw = float(np.degrees(np.arctan2(at[1, 0], at[0, 0])))
+    return {"name": name, "xyz": [round(float(c), 6) for c in at[:3, 3]], "yaw_deg": round(yaw, 4)}
+
+
+def _objects(scene: SceneSpec, matrix: F64, textures: _Textures) -> Sequence[ImportedObject]:
+    loader = MeshLoader(scene_roots(scene), textures="sizes")
+    owners = assigned(scene)
+    out = []
+    for visual in scene.visuals:
+        mesh = _mended(loader, visual.shape, matrix @ matrix_from_pose(visual.pose), textures)
+        item = ImportedObject(visual.name, mesh, semantic_class=visual.semantic_class, color=visual.color, collision="none")
+        own = owners.get(visual.name, [])
+        if len(own) == 1 and own[0].shape == visual.shape and own[0].pose == visual.pose:
+            item = replace(item, collision="same")
+        elif own:
+            meshes = [_mended(loader, c.shape, matrix @ matrix_from_pose(c.pose), None) for c in own]
+            item = replace(item, collision=Mesh(tuple(part for m in meshes for part in m.parts)))
+        if item.shape.parts:  # type: ignore[union-attr]
+            out.append(item)
+    return out
+
+
+def _mended(loader: MeshLoader, shape: Shape, matrix: F64, textures: _Textures | None) -> Mesh:
+    """Returns a shape in the mended world, without the faults of its faces."""
+    mesh = loader.shape(shape)
+    vertices, triangles = mesh.merged()
+    faults = find_faults(vertices, triangles)
+    ends = np.cumsum([len(part.triangles) for part in mesh.parts])[:-1]
+    parts = []
+    for part, flat, inverted in zip(mesh.parts, np.split(faults.degenerate, ends), np.split(faults.inverted, ends), strict=True):
+        turned = _turned(part, inverted)
+        kept = some_triangles(turned, ~flat) if flat.any() else turned
+        if not len(kept.triangles):
+            continue
+        plain = replace(kept, uvs=None, colors=None, material=Material()) if textures is None else kept
+        parts.append(plain if textures is None else replace(plain, material=textures.material(plain.material, loader)))
+    return Mesh(tuple(parts)).transformed(matrix)
+
+
+def _turned(part: MeshPart, inverted: NDArray[np.bool_]) -> MeshPart:
+    """Returns a part with some of its triangles turned round, and the normals of their corners with them."""
+    if not inverted.any():
+        return part
+    keep, turn = some_triangles(part, ~inverted), some_triangles(part, inverted)
+    turn = replace(turn, normals=-turn.normals, triangles=np.ascontiguousarray(turn.triangles[:, ::-1]))
+
+    return MeshPart(
+        np.concatenate([keep.vertices, turn.vertices]),
+        np.concatenate([keep.normals, turn.normals]),
+        None if keep.uvs is None or turn.uvs is None else np.concatenate([keep.uvs, turn.uvs]),
+        np.concatenate([keep.triangles, turn.triangles + np.uint32(len(keep.vertices))]),
+        part.material,
+        None if keep.colors is None or turn.colors is None else np.concatenate([keep.colors, turn.colors]),
+    )
+
+
+class _Textures:
+    """Reads the images of materials at last, one by one, and makes them small enough."""
+
+    def __init__(self, longest: int) -> None:
+        self._longest = longest
+        self._done: dict[int, TextureSource | None] = {}
+        self._kept: list[TextureSource] = []
+
+    def material(self, material: Material, loader: MeshLoader) -> Material:
+        names = ("texture", "metallic_roughness_texture", "normal_texture", "occlusion_texture", "emissive_texture")
+        changes = {name: self._image(getattr(material, name), loader) for name in names if getattr(material, name) is not None}
+        return replace(material, **changes) if changes else material  # type: ignore[arg-type]
+
+    def _image(self, texture: TextureSource, loader: MeshLoader) -> TextureSource | None:
+        if id(texture) not in self._done:
+            self._kept.append(texture)
+            self._done[id(texture)] = self._read(texture, loader)
+        return self._done[id(texture)]
+
+    def _read(self, texture: TextureSource, loader: MeshLoader) -> TextureSource | None:
+        rows, columns = texture.pixels.shape[:2]
+        if rows * columns > MOST_PIXELS:
+            raise SceneError(
+                f"{texture.name}: has {columns} x {rows} pixels, too many even to make it smaller; use an image editor"
+            )
+        data = loader.image_bytes(texture)
+        pixels = decode_image(data) if data else None
+        if pixels is None:
+            return None
+        factor = self._longest / max(rows, columns)
+        if factor < 1.0:
+            size = (max(1, round(columns * factor)), max(1, round(rows * factor)))
+            pixels = np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        return TextureSource(texture.name, pixels)

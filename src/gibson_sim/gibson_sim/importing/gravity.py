@@ -1,0 +1,131 @@
+"""Where up is in a mesh, and whether it is in metres: guessed from its level surfaces."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.scenes.mesh_types import UpAxis
+
+F64 = NDArray[np.float64]
+ALIGNED_DEG = 0.5
+"""A floor that is less out of level than this counts as level, degrees."""
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0.3048, "km": 1000.0}
+"""Metres per unit, by name."""
+_SLABS = 400
+_SURE = 1.5
+_EDGE = 0.08
+_CONES_DEG = (20.0, 8.0, 3.0, 3.0)
+_LOW, _HIGH = 1.8, 25.0
+_STOREY = 2.8
+_NARROW, _WIDE = 1.0, 400.0
+
+
+@dataclass(frozen=True, slots=True)
+class UpGuess:
+    """What level surfaces say."""
+
+    axis: UpAxis
+    """Of the mesh as it is given: the one nearest to up."""
+    up: tuple[float, float, float]
+    """Unit vector, frame of the mesh as it is given; its direction against z is ``tilt_deg``."""
+    tilt_deg: float
+    """Angle between ``up`` and the z axis; 0 where no level surface was found."""
+    level_area: float
+    """Area that the guess rests on, square units of the mesh."""
+
+
+def face_normals(vertices: F64, triangles: NDArray[np.integer]) -> tuple[F64, F64]:
+    """Returns unit normals (F, 3), 0 for those without area, and areas (F,)."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    cross = np.cross(b - a, c - a)
+    length = np.linalg.norm(cross, axis=1)
+    normals = np.divide(cross, length[:, None], out=np.zeros_like(cross), where=length[:, None] > 0)
+    return normals, length / 2
+
+
+def guess_up(vertices: F64, triangles: NDArray[np.integer]) -> UpGuess:
+    """Returns where up is: the largest flat thing of an interior is its floor.
+
+    The z axis is given the benefit of the doubt: another axis needs a level that is half as large again.
+
+    Args:
+        vertices: (V, 3).
+        triangles: (F, 3).
+    """
+    normals, areas = face_normals(vertices, triangles)
+    centres = vertices[triangles].mean(axis=1)
+    found = [_level(normals, areas, centres, axis) for axis in range(3)]
+    best = max(range(3), key=lambda axis: found[axis] * (_SURE if axis == 2 else 1.0))
+    start = np.zeros(3)
+    start[best] = 1.0 if best == 2 else _sign(normals, areas, centres, best)
+    up, area = _refined(normals, areas, start)
+    tilt = math.degrees(math.acos(float(np.clip(up[2], -1.0, 1.0)))) if area > 0 else 0.0
+    return UpGuess(("x", "y", "z")[best], (float(up[0]), float(up[1]), float(up[2])), tilt, area)
+
+
+def _level(normals: F64, areas: F64, centres: F64, axis: int) -> float:
+    """Returns the largest area across an axis that lies in one thin slab."""
+    flat = np.abs(normals[:, axis]) > math.cos(math.radians(_CONES_DEG[0]))
+    if not flat.any():
+        return 0.0
+    heights = centres[flat, axis]
+    size = max(float(np.ptp(centres, axis=0).max()), 1e-9)
+    bins = np.clip(((heights - heights.min()) / size * _SLABS).astype(np.int64), 0, _SLABS)
+    sums = np.bincount(bins, weights=areas[flat], minlength=_SLABS + 2)
+    return float((sums[:-1] + sums[1:]).max())
+
+
+def _sign(normals: F64, areas: F64, centres: F64, axis: int) -> float:
+    """Returns 1.0 or -1.0: between floor and ceiling more faces up than down, as tables are closed above and scanned from above."""
+    heights = centres[:, axis]
+    low, high = float(heights.min()), float(heights.max())
+    margin = _EDGE * (high - low)
+    between = (heights > low + margin) & (heights < high - margin) & (np.abs(normals[:, axis]) > 0.9)
+    return 1.0 if float((areas * normals[:, axis])[between].sum()) >= 0 else -1.0
+
+
+def _refined(normals: F64, areas: F64, up: F64) -> tuple[F64, float]:
+    """Returns the mean direction of what faces along or against ``up``, in cones that get narrower, and its area."""
+    area = 0.0
+    for cone in _CONES_DEG:
+        along = normals @ up
+        near = np.abs(along) > math.cos(math.radians(cone))
+        if not near.any():
+            break
+        total = (areas[near] * np.sign(along[near])) @ normals[near]
+        area = float(areas[near].sum())
+        up = total / np.linalg.norm(total)
+    return up, area
+
+
+def rotation_to_z(up: Sequence[float]) -> F64:
+    """Returns the smallest rotation, (3, 3), that takes a unit vector to z."""
+    v = np.asarray(up, dtype=np.float64)
+    axis = np.cross(v, (0.0, 0.0, 1.0))
+    sine, cosine = float(np.linalg.norm(axis)), float(v[2])
+    if sine < 1e-12:
+        return np.eye(3) if cosine > 0 else np.diag([1.0, -1.0, -1.0])
+    x, y, z = axis / sine
+    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.asarray(np.eye(3) + sine * k + (1.0 - cosine) * (k @ k))
+
+
+def guess_unit(size: Sequence[float]) -> str:
+    """Returns the unit, a key of ``UNITS``, in which something of this size (x, y, z) is a room or a building; "" = none fits.
+
+    Metres are given the benefit of the doubt; of others the one in which it is nearest to a storey high.
+    """
+    width, depth, height = (float(c) for c in size)
+
+    def fits(metres: float) -> bool:
+        return _LOW <= height * metres <= _HIGH and _NARROW <= max(width, depth) * metres <= _WIDE
+
+    found = [name for name, metres in UNITS.items() if fits(metres)]
+    if not found or "m" in found:
+        return "m" if found else ""
+    return min(found, key=lambda name: abs(math.log(height * UNITS[name] / _STOREY)))

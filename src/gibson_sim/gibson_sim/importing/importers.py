@@ -1,0 +1,311 @@
+"""Reads scenes of every kind into an ``ImportedScene``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from gibson_sim.errors import SceneError
+from gibson_sim.geometry.transforms import matrix_from_pose
+from gibson_sim.importing.document import BAKED_LIGHT, FloorPicture, ImportedObject, ImportedScene
+from gibson_sim.importing.floor_pictures import GIBSON_RESOLUTION
+from gibson_sim.importing.gravity import UpGuess, guess_up
+from gibson_sim.importing.hm3d import labelled_faces_of_textures
+from gibson_sim.importing.labels import LabelledFaces, class_name, habitat_classes, replica_classes, take_apart, transfer
+from gibson_sim.importing.sources import MAX_BYTES, Kind, Source
+from gibson_sim.importing.usd import read_usd
+from gibson_sim.robots.spec import Shape, VisualSpec
+from gibson_sim.scenes.load import read_scene
+from gibson_sim.scenes.mesh import MeshLoader, scene_roots
+from gibson_sim.scenes.mesh_ply import ply_part, read_ply
+from gibson_sim.scenes.mesh_types import TO_Z_UP, Mesh, UpAxis, fan
+from gibson_sim.scenes.spec import CollisionSpec, LightSpec, SceneSpec
+from gibson_sim.types import Vec3
+
+_OBJECT_ID = ("object_id", "objectId", "segment")
+_MOST_OBJECTS = 5000
+_LICENCES = ("LICENSE", "LICENCE", "LICENSE.txt", "LICENSE.md", "COPYING", "SOURCE.txt", "license.txt")
+
+
+@dataclass(frozen=True, slots=True)
+class Choices:
+    """What the user says of a source, where it does not say it itself."""
+
+    name: str = ""
+    up_axis: UpAxis | None = None
+    unit_m: float | None = None
+    semantics: bool = True
+    """Take meshes with labels apart into objects."""
+
+
+def read_source(source: Source, choices: Choices) -> ImportedScene:
+    """Returns what is in a source.
+
+    Raises:
+        SceneError: it cannot be read.
+    """
+    readers: dict[Kind, Callable[[Source, Choices], ImportedScene]] = {
+        Kind.GIBSON: _gibson, Kind.REPLICA: _replica, Kind.HABITAT: _habitat, Kind.WORLD: _world,
+        Kind.USD: _usd, Kind.MESH: _mesh, Kind.OURS: _world,
+    }  # fmt: skip
+    reader = readers.get(source.kind)
+    if reader is None:
+        raise SceneError(f"{source.file}: is an archive; unpack it first")
+    scene = reader(source, choices)
+    scene.licences = [scene.root / name for name in _LICENCES if (scene.root / name).is_file()]
+    return scene if not choices.name else replace(scene, name=choices.name)
+
+
+def _scene(source: Source, name: str) -> ImportedScene:
+    return ImportedScene(name, source.kind.value, Path(os.path.realpath(source.folder)))
+
+
+def _loader(folder: Path, *, textures: bool = True) -> MeshLoader:
+    return MeshLoader((folder,), textures=textures, max_bytes=MAX_BYTES)
+
+
+def _with_warnings(scene: ImportedScene, mesh: Mesh) -> Mesh:
+    scene.warnings += [w.replace(f"{scene.root}{os.sep}", "") for w in mesh.warnings]
+    return mesh
+
+
+# Gibson and iGibson
+
+
+def _gibson(source: Source, choices: Choices) -> ImportedScene:
+    scene = _scene(source, source.folder.resolve().name)
+    scene.light = BAKED_LIGHT
+    coarse = source.folder / "mesh_z_up_downsampled.obj"
+    mesh = _with_warnings(scene, _loader(source.folder, textures=False).mesh(source.file))
+    labels = _semantic_obj(source) if source.semantics and choices.semantics else None
+    if labels is None:
+        collision = coarse if coarse.is_file() else "same"
+        scene.objects = [
+            ImportedObject(scene.name, source.file, collision=collision, up_axis=choices.up_axis or "", unit_m=choices.unit_m)
+        ]
+    else:
+        faces, classes = labels
+        mesh = _loader(source.folder).mesh(source.file)
+        scene.objects = take_apart(mesh, transfer(mesh, faces), classes)
+    scene.floors = _floor_heights(source.folder / "floors.txt")
+    for number in range(max(len(scene.floors), 1)):
+        picture = source.folder / f"floor_trav_{number}.png"
+        if picture.is_file():
+            scene.maps.append(FloorPicture(picture, GIBSON_RESOLUTION, number))
+    return scene
+
+
+def _floor_heights(path: Path) -> tuple[float, ...]:
+    """Returns the heights in a ``floors.txt``, one a line, from the lowest; nothing where there is no such file."""
+    if not path.is_file():
+        return ()
+    try:
+        heights = [float(word) for word in path.read_text(encoding="utf-8", errors="replace").split()]
+    except ValueError as e:
+        raise SceneError(
+            f"{path}: must hold one height in metres on each line ({e}); mend it, or delete it to have floors found"
+        ) from e
+    if not np.isfinite(heights).all():
+        raise SceneError(f"{path}: holds {heights}, heights must be finite numbers; mend it, or delete it to have floors found")
+    return tuple(sorted(heights))
+
+
+def _semantic_obj(source: Source) -> tuple[LabelledFaces, dict[int, str]] | None:
+    """Returns the labels of a ``semantic.obj``, whose materials are named after objects: ``chair_3_office_1``."""
+    mesh = _loader(source.folder, textures=False).mesh(source.semantics[0])
+    if not 1 < len(mesh.parts) <= _MOST_OBJECTS:
+        return None
+    centres = [part.vertices[part.triangles].mean(axis=1, dtype=np.float64) for part in mesh.parts]
+    numbers = np.repeat(np.arange(len(mesh.parts)), [len(c) for c in centres])
+    classes = {k: class_name(part.material.name.split("_")[0]) for k, part in enumerate(mesh.parts)}
+    return LabelledFaces(np.concatenate(centres), numbers), classes
+
+
+# Replica
+
+
+def _replica(source: Source, choices: Choices) -> ImportedScene:
+    scene = _scene(source, source.folder.resolve().name)
+    if not (source.semantics and choices.semantics):
+        scene.objects = [ImportedObject(scene.name, source.file, up_axis=choices.up_axis or "", unit_m=choices.unit_m)]
+        return scene
+    labelled, classes = source.semantics
+    ply = read_ply(labelled, _bytes(labelled))
+    ids = next((ply.face[name] for name in _OBJECT_ID if name in ply.face), None)
+    if ids is None or len(np.unique(ids)) > _MOST_OBJECTS:
+        raise SceneError(f"{labelled}: its faces have no object_id; use --no-semantics to import mesh.ply alone")
+    part = ply_part(str(labelled), ply, fan(ply.sizes))
+    if part is None:
+        raise SceneError(f"{labelled}: has no triangles")
+    objects = np.asarray(ids, dtype=np.int64)[ply.polygon_of_triangle]
+    scene.objects = take_apart(Mesh((part,)), [objects], replica_classes(classes))
+    return scene
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as e:
+        raise SceneError(f"{path}: cannot be read: {e.strerror or e}") from e
+
+
+# Matterport, HM3D and Gibson as Habitat has them
+
+
+def _habitat(source: Source, choices: Choices) -> ImportedScene:
+    scene = _scene(source, source.file.name.split(".")[0])
+    scene.light = BAKED_LIGHT
+    if not choices.semantics:
+        return _single(scene, source, choices)
+    mesh = _with_warnings(scene, _loader(source.folder).mesh(source.file))
+    up = choices.up_axis or _up_of(scene, mesh)
+    mesh = mesh.transformed(_turn(up, mesh)) if up else mesh
+    labelled, lists = source.semantics
+    if labelled.suffix.lower() == ".glb":
+        coloured = _loader(source.folder).mesh(labelled)
+        faces, classes = labelled_faces_of_textures(coloured.transformed(_turn(up, coloured)) if up else coloured, lists)
+    else:
+        ply = read_ply(labelled, _bytes(labelled))
+        ids = next((ply.face[name] for name in _OBJECT_ID if name in ply.face), None)
+        if ids is None:
+            raise SceneError(f"{labelled}: its faces have no object_id; use --no-semantics to import {source.file.name} alone")
+        triangles = ply.corners[fan(ply.sizes)]
+        objects = np.asarray(ids, dtype=np.int64)[ply.polygon_of_triangle]
+        faces, classes = LabelledFaces(ply.positions[triangles].mean(axis=1), objects), habitat_classes(lists)
+    scene.objects = take_apart(mesh, transfer(mesh, faces), classes)
+    return scene
+
+
+def _turn(up: UpAxis, mesh: Mesh) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Returns what undoes the turn that the loader made, and makes that of another axis, (4, 4)."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = TO_Z_UP[up] @ TO_Z_UP[mesh.up_axis].T
+    return matrix
+
+
+# Plain meshes
+
+
+def _mesh(source: Source, choices: Choices) -> ImportedScene:
+    return _single(_scene(source, source.file.name.split(".")[0]), source, choices)
+
+
+def _single(scene: ImportedScene, source: Source, choices: Choices) -> ImportedScene:
+    mesh = _with_warnings(scene, _loader(source.folder, textures=False).mesh(source.file))
+    up = choices.up_axis or _up_of(scene, mesh)
+    scene.objects = [ImportedObject(source.file.stem, source.file, up_axis=up or "", unit_m=choices.unit_m)]
+    return scene
+
+
+def _up_of(scene: ImportedScene, mesh: Mesh) -> UpAxis | None:
+    """Returns the axis of the file that is up, where that is surely another one than its format says; else nothing."""
+    vertices, triangles = mesh.merged()
+    guess = guess_up(vertices, triangles)
+    if guess.axis == "z":
+        return None
+    axis = _file_axis(guess, mesh)
+    if axis is not None:
+        scene.warnings.append(
+            f"{mesh.files[0].name}: its floor lies across the {axis} axis of the file: that is taken as up; --up-axis says otherwise"
+        )
+    return axis
+
+
+def _file_axis(guess: UpGuess, mesh: Mesh) -> UpAxis | None:
+    """Returns the axis of the file along which up is; nobody writes files with an axis that points down."""
+    in_file = np.abs(TO_Z_UP[mesh.up_axis].T @ np.asarray(guess.up))
+    axis = int(in_file.argmax())
+    return ("x", "y", "z")[axis] if in_file[axis] > 0.9 else None
+
+
+def _usd(source: Source, choices: Choices) -> ImportedScene:
+    scene = _scene(source, source.file.stem)
+    scene.objects, warnings = read_usd(source.file, choices.up_axis, choices.unit_m)
+    scene.warnings += warnings
+    return scene
+
+
+# Worlds
+
+
+def _world(source: Source, choices: Choices) -> ImportedScene:
+    builder = read_scene(source.file, source.file)
+    spec = builder.finish()
+    out = from_spec(spec, _scene(source, spec.name))
+    out.root, out.loader = spec.root, builder.loader
+    return out
+
+
+def from_spec(spec: SceneSpec, out: ImportedScene) -> ImportedScene:
+    """Fills a scene with what a loaded one has, its files where they are."""
+    out.warnings += list(spec.warnings)
+    out.floors, out.ground_z = spec.floors, spec.ground_z
+    out.gravity = spec.gravity if spec.gravity != (0.0, 0.0, -9.81) else None
+    out.light = light_document(spec.light)
+    for start in spec.starts:
+        x, y, z = start.pose.position
+        yaw = np.degrees(np.arctan2(*matrix_from_pose(start.pose)[[1, 0], 0]))
+        out.starts.append({"name": start.name, "xyz": [x, y, z], "yaw_deg": round(float(yaw), 6)})
+    loader = MeshLoader(scene_roots(spec), textures=False)
+    left = assigned(spec)
+    for visual in spec.visuals:
+        out.objects.append(_object(visual, left.get(visual.name, []), loader))
+    return out
+
+
+def light_document(light: LightSpec) -> dict[str, object]:
+    """Returns what differs from the usual light, for the ``light`` of a scene.yaml; not lamps and surroundings."""
+    usual = LightSpec()
+    names = ("sun_direction", "sun", "sun_color", "ambient", "background", "shadows")
+    changed = {name: getattr(light, name) for name in names if getattr(light, name) != getattr(usual, name)}
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in changed.items()}
+
+
+def assigned(spec: SceneSpec) -> dict[str, list[CollisionSpec]]:
+    """Returns the collision shapes of each visual: those of its name, or else those of the visual with the most similar name."""
+    names = [v.name for v in spec.visuals]
+    known = set(names)
+    out: dict[str, list[CollisionSpec]] = {}
+    for collision in spec.collisions:
+        owner = collision.name if collision.name in known else max(names, key=lambda n: _alike(n, collision.name))
+        out.setdefault(owner, []).append(collision)
+    return out
+
+
+def _alike(a: str, b: str) -> int:
+    """Returns how many characters two names begin with alike."""
+    return next((k for k, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
+
+
+def _object(visual: VisualSpec, collisions: list[CollisionSpec], loader: MeshLoader) -> ImportedObject:
+    shape, scale = _shape(visual.shape)
+    item = ImportedObject(
+        visual.name, shape, visual.pose, scale, semantic_class=visual.semantic_class, color=visual.color, collision="none"
+    )
+    if not collisions:
+        return item
+    if len(collisions) == 1 and collisions[0].pose == visual.pose:
+        only = collisions[0].shape
+        if only == visual.shape:
+            return replace(item, collision="same")
+        if only.kind == "mesh" and visual.shape.kind == "mesh" and only.size == visual.shape.size:
+            return replace(item, collision=Path(only.mesh))
+    # In the frame of the visual, whose pose and scale the collision mesh gets too.
+    factors = np.diag([*scale, 1.0])
+    to_visual = np.linalg.inv(matrix_from_pose(visual.pose) @ factors)
+    parts = [part for c in collisions for part in loader.shape(c.shape).transformed(to_visual @ matrix_from_pose(c.pose)).parts]
+    return replace(item, collision=Mesh(tuple(replace(p, uvs=None, colors=None) for p in parts)))
+
+
+def _shape(shape: Shape) -> tuple[Path | dict[str, object], Vec3]:
+    if shape.kind == "mesh":
+        return Path(shape.mesh), shape.size
+    if shape.kind == "box":
+        return {"box": list(shape.size)}, (1.0, 1.0, 1.0)
+    if shape.kind == "sphere":
+        return {"sphere": shape.size[0]}, (1.0, 1.0, 1.0)
+    return {"cylinder": {"radius": shape.size[0], "length": shape.size[1]}}, (1.0, 1.0, 1.0)

@@ -1,0 +1,159 @@
+"""Pictures of a scene without a display: from free places at eye height, from above, and its floor map, on one sheet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import SceneError
+from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pose_from_xyz_rpy, quat_from_matrix
+from gibson_sim.render.cache import default_folder
+from gibson_sim.render.renderer import Renderer
+from gibson_sim.scenes.floor_map import FloorMap, scene_floor_map
+from gibson_sim.scenes.mesh import collision_triangles
+from gibson_sim.scenes.spec import SceneSpec, drawn_scene
+from gibson_sim.types import CameraSpec, Pose, SceneState
+
+Rgb = NDArray[np.uint8]
+F64 = NDArray[np.float64]
+WIDTH, HEIGHT = 640, 480
+"""Of one picture, pixels."""
+EYE_HEIGHT = 1.25
+"""Metres above the floor."""
+CUT_HEIGHT = 2.1
+"""Of the view from above: what is higher than this above the floor is cut away."""
+ROBOT_RADIUS, ROBOT_HEIGHT = 0.2, 0.5
+_COLUMNS, _GAP, _CAPTION = 3, 6, 22
+_PAPER, _INK = 250, (50, 50, 50)
+_HEADINGS = 24
+_FREE, _OCCUPIED, _UNKNOWN = (255, 255, 255), (40, 40, 40), (178, 178, 178)
+_STEP = 0.1
+
+
+def contact_sheet(scene: SceneSpec, views: int, *, floor_z: float | None = None) -> Rgb:
+    """Returns pictures of a scene, (H, W, 3) uint8 sRGB.
+
+    Args:
+        scene: what to look at.
+        views: pictures at eye height, spread over the free floor.
+        floor_z: height of the floor to look at; None = the one that robots start on.
+
+    Raises:
+        SceneError: the scene has no free floor.
+    """
+    level = scene if floor_z is None else replace(scene, floor_z=floor_z)
+    floor = scene_floor_map(level, robot_height=ROBOT_HEIGHT)
+    places = free_places(floor, views)
+    if not len(places):
+        raise SceneError(
+            f"scene {scene.name!r}: nothing is free on the floor at z = {level.floor_z:.2f} m; look at `gibson-sim scene check`"
+        )
+    yaws = [_open_heading(floor, place) for place in places]
+    eyes = [_eye(x, y, level.floor_z + EYE_HEIGHT, yaw) for (x, y), yaw in zip(places.tolist(), yaws, strict=True)]
+    overview = _from_above(level)
+    with Renderer(drawn_scene(replace(scene, robots=(), bodies=()), ()), cache=default_folder()) as renderer:
+        state = SceneState(0, 0, scene.revision, (), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6)))
+        pictures = [renderer.render(state, [camera])[0].rgb for camera in (*eyes, overview)]
+    named = [
+        (f"view {k + 1} at {x:.1f}, {y:.1f}", p) for k, ((x, y), p) in enumerate(zip(places.tolist(), pictures, strict=False))
+    ]
+    named.append(("from above", pictures[-1]))
+    named.append((f"floor map, {floor.resolution:g} m a cell", map_picture(floor, places, yaws)))
+    return sheet([(title, picture) for title, picture in named if picture is not None])
+
+
+def free_places(floor: FloorMap, count: int) -> F64:
+    """Returns world x, y, (N, 2), of free places far from each other: the most open one first."""
+    region = floor.largest_free_region(ROBOT_RADIUS)
+    cells = np.argwhere(region)
+    if not len(cells):
+        return np.zeros((0, 2))
+    room = floor.distance_to_obstacle[tuple(cells.T)]
+    points = floor.centers(cells)
+    # Close to a wall there is nothing but the wall to be seen.
+    roomy = room >= min(0.45, float(np.quantile(room, 0.6)))
+    points, room = points[roomy], room[roomy]
+    chosen = [int(room.argmax())]
+    distance = np.full(len(points), np.inf)
+    while len(chosen) < min(count, len(points)):
+        distance = np.minimum(distance, np.linalg.norm(points - points[chosen[-1]], axis=1))
+        chosen.append(int((distance * np.clip(room, 0.2, 1.0)).argmax()))
+    return points[chosen]
+
+
+def _open_heading(floor: FloorMap, place: F64) -> float:
+    """Returns the heading, radians, in whose field of view most floor lies free before something stands there."""
+    headings = np.arange(_HEADINGS) * 2 * math.pi / _HEADINGS
+    reach = np.arange(1, 80) * _STEP
+    points = place + reach[None, :, None] * np.stack([np.cos(headings), np.sin(headings)], axis=1)[:, None, :]
+    cells = floor.cells(points)
+    inside = np.asarray(((cells >= 0) & (cells < np.array(floor.shape))).all(axis=-1))
+    safe = np.where(inside[..., None], cells, 0)
+    free = inside & floor.free[safe[..., 0], safe[..., 1]]
+    run = np.cumprod(free, axis=1).sum(axis=1)
+    width = _HEADINGS // 6
+    wide = sum(np.roll(run, k) for k in range(-width // 2, width // 2 + 1))
+    return float(headings[int(np.argmax(wide))])
+
+
+def _eye(x: float, y: float, z: float, yaw: float) -> CameraSpec:
+    matrix = matrix_from_pose(pose_from_xyz_rpy((x, y, z), (0.0, math.radians(6.0), yaw)))
+    pose = Pose((x, y, z), quat_from_matrix(matrix[:3, :3] @ R_LINK_OPTICAL))
+    return CameraSpec("view", "", pose, WIDTH, HEIGHT, math.radians(62.0), outputs=("rgb",), samples=4)
+
+
+def _from_above(scene: SceneSpec) -> CameraSpec:
+    """Returns a camera that sees the whole floor, as though the building were cut at ``CUT_HEIGHT``."""
+    vertices, _ = collision_triangles(scene)
+    low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
+    (width, depth), middle = (high - low).tolist(), (low + high) / 2
+    fov = math.radians(30.0)
+    above = 1.05 * max(depth, width * HEIGHT / WIDTH) / 2 / math.tan(fov / 2) + CUT_HEIGHT
+    # As the map is drawn: x to the right, y up.
+    rotation = np.diag([1.0, -1.0, -1.0])
+    pose = Pose((float(middle[0]), float(middle[1]), scene.floor_z + above), quat_from_matrix(rotation))
+    return CameraSpec(
+        "above", "", pose, WIDTH, HEIGHT, fov, near=above - CUT_HEIGHT, far=above + 100.0, outputs=("rgb",), samples=4
+    )
+
+
+def map_picture(floor: FloorMap, places: F64, yaws: Sequence[float]) -> Rgb:
+    """Returns the floor map, (HEIGHT, WIDTH, 3): north up, free white, occupied dark, unknown grey, and where views were made."""
+    colors = np.empty((*floor.shape, 3), dtype=np.uint8)
+    colors[:] = _UNKNOWN
+    colors[floor.floor] = _FREE
+    colors[floor.occupied] = _OCCUPIED
+    rows, columns = floor.shape
+    scale = min(WIDTH / columns, HEIGHT / rows)
+    size = (max(1, int(columns * scale)), max(1, int(rows * scale)))
+    small = cv2.resize(colors[::-1], size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_NEAREST)
+    for number, ((x, y), yaw) in enumerate(zip(places.tolist(), yaws, strict=True)):
+        at = (np.array([x, y]) - floor.origin) / floor.resolution * scale
+        tip = at + 14.0 * np.array([math.cos(yaw), math.sin(yaw)])
+        start, end = ((round(float(p[0])), round(size[1] - float(p[1]))) for p in (at, tip))
+        cv2.arrowedLine(small, start, end, (30, 110, 220), 2, cv2.LINE_AA, tipLength=0.4)
+        cv2.putText(
+            small, str(number + 1), (start[0] + 5, start[1] - 5), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (200, 40, 30), 1, cv2.LINE_AA
+        )
+    out = np.full((HEIGHT, WIDTH, 3), _PAPER, dtype=np.uint8)
+    top, left = (HEIGHT - small.shape[0]) // 2, (WIDTH - small.shape[1]) // 2
+    out[top : top + small.shape[0], left : left + small.shape[1]] = small
+    return out
+
+
+def sheet(pictures: Sequence[tuple[str, Rgb]]) -> Rgb:
+    """Returns pictures of one size with captions, in rows."""
+    rows = math.ceil(len(pictures) / _COLUMNS)
+    cell = (HEIGHT + _CAPTION + _GAP, WIDTH + _GAP)
+    out = np.full((rows * cell[0] + _GAP, min(_COLUMNS, len(pictures)) * cell[1] + _GAP, 3), _PAPER, dtype=np.uint8)
+    for k, (title, picture) in enumerate(pictures):
+        top, left = _GAP + k // _COLUMNS * cell[0], _GAP + k % _COLUMNS * cell[1]
+        out[top : top + HEIGHT, left : left + WIDTH] = picture
+        where = (left + 4, top + HEIGHT + _CAPTION - 6)
+        cv2.putText(out, title, where, cv2.FONT_HERSHEY_SIMPLEX, 0.5, _INK, 1, cv2.LINE_AA)
+    return out

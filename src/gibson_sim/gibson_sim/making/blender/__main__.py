@@ -1,0 +1,86 @@
+"""``python -m gibson_sim.making.blender PLAN WORK``: builds and bakes a building in a Python that has Blender.
+
+PLAN is a file of ``making.building_file``; WORK a folder. What lies there finished is kept. Each line on standard output tells of progress, as JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gibson_sim.making.blender.assembly import Assembly, assemble
+from gibson_sim.making.blender.bake import Stage
+from gibson_sim.making.blender.denoise import denoised
+from gibson_sim.making.blender.mirrors import mirrors_of, reflection
+from gibson_sim.making.building_file import Quality, read_plan
+from gibson_sim.making.pixels import filled
+
+_COLOR_COST = 4.0
+"""Samples of light that take as long as the colours."""
+
+
+def main() -> None:
+    """Does what is not done yet."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("plan", type=Path)
+    parser.add_argument("work", type=Path)
+    args = parser.parse_args()
+    building, quality = read_plan(args.plan)
+    _tell("furniture and walls", 0.0)
+    assembly = assemble(building, quality.atlases, quality.size_px)
+    mesh = args.work / "mesh.npz"
+    if not mesh.exists():
+        assembly.save(args.work / "mesh.part.npz")
+        os.replace(args.work / "mesh.part.npz", mesh)
+    _tell(f"{len(assembly.owner)} triangles, {assembly.density:.0f} pixels per metre", 0.02)
+    atlases = sorted({int(a) for a in assembly.atlas if a >= 0})
+    wanted = [(k, what) for what in ("color", "light") for k in atlases if not (args.work / f"{what}_{k}.npy").exists()]
+    mirrors = args.work / "mirrors.npz"
+    if wanted or not mirrors.exists():
+        stage = Stage(building, assembly, quality.samples)
+        _bake_all(stage, quality, wanted, args.work)
+        _mirrors(assembly, quality, mirrors)
+    _tell("baked", 1.0)
+
+
+def _bake_all(stage: Stage, quality: Quality, wanted: list[tuple[int, str]], work: Path) -> None:
+    # The last atlas has the smallest charts, in which the denoiser has least to go by.
+    factors = np.linspace(1.0, 3.0, quality.atlases) if quality.atlases > 1 else np.ones(1)
+    costs = [_COLOR_COST if what == "color" else quality.samples * factors[k] for k, what in wanted]
+    done = 0.0
+    for (atlas, what), cost in zip(wanted, costs, strict=True):
+        _tell(f"{what} of atlas {atlas + 1} of {quality.atlases}", 0.02 + 0.96 * done / sum(costs))
+        size_px = quality.size_px
+        image = stage.color(atlas, size_px) if what == "color" else stage.light(atlas, size_px // 2, float(factors[atlas]))
+        covered = image[..., 3] > 0.5
+        if what == "light":
+            image[..., :3] = denoised(filled(image[..., :3], covered))
+        part = work / f"{what}_{atlas}.part.npy"
+        np.save(part, np.concatenate([image[..., :3], covered[..., None]], axis=-1).astype(np.float16))
+        os.replace(part, work / f"{what}_{atlas}.npy")
+        done += cost
+
+
+def _mirrors(assembly: Assembly, quality: Quality, path: Path) -> None:
+    """Writes what every mirror shows, beside its atlas and the place of its corners there."""
+    _tell("mirrors", 0.98)
+    rows: dict[str, Any] = {}
+    for number, mirror in enumerate(mirrors_of(assembly)):
+        rows[f"image_{number}"] = reflection(mirror, 2 * quality.samples).astype(np.float16)
+        rows[f"uv_{number}"], rows[f"atlas_{number}"] = mirror.uv, mirror.atlas
+    part = path.with_suffix(".part.npz")
+    np.savez_compressed(part, **rows)
+    os.replace(part, path)
+
+
+def _tell(text: str, done: float) -> None:
+    print(json.dumps({"text": text, "done": round(done, 4)}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

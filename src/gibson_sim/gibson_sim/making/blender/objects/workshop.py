@@ -1,0 +1,345 @@
+"""Tools to model a small thing in Blender: boxes with rounded edges, bodies of revolution, bars, and their materials.
+
+Metres, z up. A ``Part`` gathers pieces and becomes one mesh in one GLB.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import bmesh
+import bpy
+from mathutils import Euler, Matrix, Vector
+
+Point = Sequence[float]
+Atlas = Mapping[str, tuple[float, float, float, float]]
+"""Side of a box (``+x`` to ``-z``) -> (left, top, right, bottom) of what it shows of the picture, fractions, from the top left."""
+_SHARP = math.radians(38.0)
+
+
+@dataclass(frozen=True)
+class Paint:
+    """A material."""
+
+    color: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """sRGB, 0 to 1; a picture replaces it."""
+    metallic: float = 0.0
+    roughness: float = 0.5
+    alpha: float = 1.0
+    picture: str = ""
+    """Name of a texture."""
+    tile: float = 0.0
+    """Metres after which the picture repeats on boxes; 0 = it is laid out by an ``Atlas``, or around a body of revolution."""
+    glow: float = 0.0
+    """Strength of its own light."""
+
+
+class Shop:
+    """Blender's file in memory: materials and pictures that parts share."""
+
+    def __init__(self, pictures: Path) -> None:
+        self.pictures = pictures
+        self._materials: dict[Paint, bpy.types.Material] = {}
+
+    def clear(self) -> None:
+        """Throws everything away."""
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        self._materials.clear()
+
+    def material(self, paint: Paint) -> bpy.types.Material:
+        """Returns Blender's material of a paint."""
+        if paint not in self._materials:
+            material = bpy.data.materials.new(f"paint_{len(self._materials)}")
+            material.use_nodes = True
+            shader = material.node_tree.nodes["Principled BSDF"]
+            color = (*(_linear(c) for c in paint.color), 1.0)
+            shader.inputs["Base Color"].default_value = color
+            shader.inputs["Metallic"].default_value = paint.metallic
+            shader.inputs["Roughness"].default_value = paint.roughness
+            shader.inputs["Alpha"].default_value = paint.alpha
+            if paint.alpha < 1.0:
+                material.surface_render_method = "BLENDED"
+            image = None
+            if paint.picture:
+                image = material.node_tree.nodes.new("ShaderNodeTexImage")
+                image.image = bpy.data.images.load(str(self.pictures / f"{paint.picture}.jpg"), check_existing=True)
+                material.node_tree.links.new(image.outputs["Color"], shader.inputs["Base Color"])
+            if paint.glow:
+                shader.inputs["Emission Strength"].default_value = paint.glow
+                shader.inputs["Emission Color"].default_value = color
+                if image is not None:
+                    material.node_tree.links.new(image.outputs["Color"], shader.inputs["Emission Color"])
+            material.use_backface_culling = paint.alpha == 1.0
+            self._materials[paint] = material
+        return self._materials[paint]
+
+
+class Part:
+    """One link in the making."""
+
+    def __init__(self, shop: Shop) -> None:
+        self.shop = shop
+        self.pieces: list[bpy.types.Object] = []
+
+    def box(
+        self,
+        low: Point,
+        high: Point,
+        paint: Paint,
+        bevel: float = 0.003,
+        segments: int = 2,
+        atlas: Atlas | None = None,
+        turn: Point = (0, 0, 0),
+    ) -> bpy.types.Object:
+        """Adds a box with rounded edges, turned about its middle by ``turn`` (roll, pitch, yaw, radians)."""
+        mesh = bmesh.new()
+        size = [abs(b - a) for a, b in zip(low, high, strict=True)]
+        bmesh.ops.create_cube(mesh, size=1.0, matrix=Matrix.Diagonal((*size, 1.0)))
+        width = min(bevel, 0.45 * min(size))
+        if width > 1e-5:
+            bmesh.ops.bevel(
+                mesh, geom=mesh.edges[:], offset=width, segments=segments, profile=0.5, affect="EDGES", clamp_overlap=True
+            )
+        _lay_boxwise(mesh, size, paint.tile, atlas)
+        middle = Vector([(a + b) / 2 for a, b in zip(low, high, strict=True)])
+        return self._keep(mesh, paint, Matrix.Translation(middle) @ Euler(turn).to_matrix().to_4x4())
+
+    def lathe(
+        self,
+        profile: Sequence[Point],
+        paint: Paint,
+        sides: int = 28,
+        at: Point = (0, 0, 0),
+        turn: Point = (0, 0, 0),
+        shape: Callable[[float, float], float] | None = None,
+    ) -> bpy.types.Object:
+        """Adds a body of revolution about z.
+
+        Args:
+            profile: radius and height of its outline, outside upwards (the normal is to the right of the way); radius 0 closes it.
+            paint: a picture goes around it once, its left edge at +x, its top at the top of the profile.
+            sides: number of facets.
+            at: where its origin is put.
+            turn: roll, pitch, yaw about the origin, radians.
+            shape: factor of the radius at (angle, share of the height), for what is not quite round.
+        """
+        mesh = bmesh.new()
+        uv = mesh.loops.layers.uv.new("UVMap")
+        lengths = [0.0]
+        for (r0, z0), (r1, z1) in itertools.pairwise(profile):
+            lengths.append(lengths[-1] + math.hypot(r1 - r0, z1 - z0))
+        rings = []
+        for k, (radius, z) in enumerate(profile):
+            share = lengths[k] / lengths[-1]
+            if radius < 1e-6:
+                rings.append([mesh.verts.new((0.0, 0.0, z))])
+                continue
+            ring = []
+            for j in range(sides):
+                angle = 2 * math.pi * j / sides
+                r = radius * (shape(angle, share) if shape else 1.0)
+                ring.append(mesh.verts.new((r * math.cos(angle), r * math.sin(angle), z)))
+            rings.append(ring)
+        for k, (low, high) in enumerate(itertools.pairwise(rings)):
+            if len(low) == len(high) == 1:
+                continue
+            for j in range(sides):
+                n = (j + 1) % sides
+                corners: list[tuple[bmesh.types.BMVert, float, int]] = []
+                if len(low) > 1:
+                    corners += [(low[j], j, k), (low[n], j + 1, k)]
+                else:
+                    corners += [(low[0], j + 0.5, k)]
+                corners += [(high[n], j + 1, k + 1), (high[j], j, k + 1)] if len(high) > 1 else [(high[0], j + 0.5, k + 1)]
+                face = mesh.faces.new([corner[0] for corner in corners])
+                for loop, (_, a, level) in zip(face.loops, corners, strict=True):
+                    loop[uv].uv = (a / sides, lengths[level] / lengths[-1])
+        return self._keep(mesh, paint, Matrix.Translation(Vector(at)) @ Euler(turn).to_matrix().to_4x4())
+
+    def disc(self, radius: float, paint: Paint, at: Point, turn: Point, sides: int = 44) -> bpy.types.Object:
+        """Adds a flat disc that faces z and shows the picture: its right is +y, its top -x, before it is turned."""
+        piece = self.lathe([(radius, 0.0), (0.0, 0.0)], paint, sides, at, turn)
+        for loop, place in zip(piece.data.loops, piece.data.uv_layers[0].data, strict=True):
+            x, y, _ = piece.data.vertices[loop.vertex_index].co
+            place.uv = (0.5 + y / (2 * radius), 0.5 - x / (2 * radius))
+        return piece
+
+    def rod(
+        self, low: Point, high: Point, radius: float, paint: Paint, sides: int = 16, bevel: float = 0.0, top: float = 0.0
+    ) -> bpy.types.Object:
+        """Adds a round bar from one point to another; ``top``: radius at its end where it is another one."""
+        start, end = Vector(low), Vector(high)
+        length, last = (end - start).length, top or radius
+        b = min(bevel, 0.4 * radius, 0.4 * length)
+        profile = [(0.0, 0.0), (radius - b, 0.0), (radius, b), (last, length - b), (last - b, length), (0.0, length)]
+        if b == 0.0:
+            profile = [(0.0, 0.0), (radius, 0.0), (last, length), (0.0, length)]
+        piece = self.lathe(profile, paint, sides)
+        quat = Vector((0, 0, 1)).rotation_difference(end - start)
+        piece.matrix_world = Matrix.Translation(start) @ quat.to_matrix().to_4x4()
+        return piece
+
+    def tube(
+        self,
+        points: Sequence[Point],
+        radius: float,
+        paint: Paint,
+        resolution: int = 3,
+        steps: int = 6,
+        radii: Sequence[float] = (),
+    ) -> bpy.types.Object:
+        """Adds a smooth bent bar along points; ``radii``: factors of its radius at each of them."""
+        curve = bpy.data.curves.new("tube", "CURVE")
+        curve.dimensions, curve.bevel_depth, curve.bevel_resolution, curve.resolution_u, curve.use_fill_caps = (
+            "3D",
+            radius,
+            resolution,
+            steps,
+            True,
+        )
+        spline = curve.splines.new("NURBS")
+        spline.points.add(len(points) - 1)
+        for k, (point, place) in enumerate(zip(spline.points, points, strict=True)):
+            point.co, point.radius = (*place, 1.0), radii[k] if radii else 1.0
+        spline.use_endpoint_u, spline.order_u = True, min(4, len(points))
+        thing = bpy.data.objects.new("tube", curve)
+        bpy.context.scene.collection.objects.link(thing)
+        made = bpy.data.meshes.new_from_object(thing.evaluated_get(bpy.context.evaluated_depsgraph_get()))
+        bpy.data.objects.remove(thing)
+        mesh = bmesh.new()
+        mesh.from_mesh(made)
+        return self._keep(mesh, paint, Matrix.Identity(4))
+
+    def prism(
+        self, outline: Sequence[Point], low: float, high: float, paint: Paint, bevel: float = 0.002, axis: str = "z"
+    ) -> bpy.types.Object:
+        """Adds an outline (counter-clockwise) drawn out along an axis: its plane is (x, y), or (y, z) for x, (z, x) for y."""
+        mesh = bmesh.new()
+        face = mesh.faces.new([mesh.verts.new((a, b, low)) for a, b in outline])
+        moved = bmesh.ops.extrude_face_region(mesh, geom=[face])["geom"]
+        bmesh.ops.translate(mesh, verts=[v for v in moved if isinstance(v, bmesh.types.BMVert)], vec=(0, 0, high - low))
+        bmesh.ops.recalc_face_normals(mesh, faces=mesh.faces[:])
+        if bevel:
+            edges = [e for e in mesh.edges if e.calc_face_angle(0.0) > 0.5]
+            bmesh.ops.bevel(mesh, geom=edges, offset=bevel, segments=2, profile=0.5, affect="EDGES", clamp_overlap=True)
+        size = [1.0, 1.0, 1.0]
+        _lay_boxwise(mesh, size, paint.tile or 1.0, None)
+        turn = {
+            "z": Matrix.Identity(4),
+            "x": Matrix(((0, 0, 1, 0), (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 0, 1))),
+            "y": Matrix(((0, 1, 0, 0), (0, 0, 1, 0), (1, 0, 0, 0), (0, 0, 0, 1))),
+        }[axis]
+        return self._keep(mesh, paint, turn)
+
+    def plate(self, corners: Sequence[Point], paint: Paint) -> bpy.types.Object:
+        """Adds a flat quad that shows the whole picture: its corners are top left, bottom left, bottom right, top right, seen from its front."""
+        mesh = bmesh.new()
+        uv = mesh.loops.layers.uv.new("UVMap")
+        face = mesh.faces.new([mesh.verts.new(corner) for corner in corners])
+        for loop, place in zip(face.loops, ((0, 1), (0, 0), (1, 0), (1, 1)), strict=True):
+            loop[uv].uv = place
+        return self._keep(mesh, paint, Matrix.Identity(4))
+
+    def write(self, path: Path, keep_flat: bool = False) -> int:
+        """Writes the GLB and returns the number of its triangles."""
+        for piece in self.pieces:
+            piece.data.transform(piece.matrix_world)
+            piece.matrix_world = Matrix.Identity(4)
+            # Turned by a mirror: what was outside would be inside.
+            piece.data.update()
+        bpy.ops.object.select_all(action="DESELECT")
+        for piece in self.pieces:
+            piece.select_set(True)
+        bpy.context.view_layer.objects.active = self.pieces[0]
+        if len(self.pieces) > 1:
+            bpy.ops.object.join()
+        thing = bpy.context.view_layer.objects.active
+        thing.name = thing.data.name = path.stem
+        for polygon in thing.data.polygons:
+            polygon.use_smooth = not keep_flat
+        thing.data.set_sharp_from_angle(angle=_SHARP)
+        # Large faces keep their own normal: without it a rounded edge would shade a flat side.
+        weigh = thing.modifiers.new("weigh", "WEIGHTED_NORMAL")
+        weigh.keep_sharp, weigh.weight = True, 60
+        bpy.ops.export_scene.gltf(
+            filepath=str(path),
+            export_format="GLB",
+            use_selection=True,
+            export_apply=True,
+            export_yup=True,
+            export_animations=False,
+            export_image_format="AUTO",
+            export_skins=False,
+            export_morph=False,
+            export_cameras=False,
+            export_lights=False,
+            export_tangents=False,
+        )
+        thing.data.calc_loop_triangles()
+        count = len(thing.data.loop_triangles)
+        bpy.data.objects.remove(thing)
+        self.pieces.clear()
+        return count
+
+    def _keep(self, mesh: bmesh.types.BMesh, paint: Paint, matrix: Matrix) -> bpy.types.Object:
+        data = bpy.data.meshes.new("piece")
+        mesh.to_mesh(data)
+        mesh.free()
+        data.materials.clear()
+        data.materials.append(self.shop.material(paint))
+        if not data.uv_layers:
+            data.uv_layers.new(name="UVMap")
+        elif data.uv_layers[0].name != "UVMap":
+            data.uv_layers[0].name = "UVMap"
+        piece = bpy.data.objects.new("piece", data)
+        piece.matrix_world = matrix
+        bpy.context.scene.collection.objects.link(piece)
+        self.pieces.append(piece)
+        return piece
+
+
+def mm(text: str) -> list[tuple[float, ...]]:
+    """Returns places that are written in millimetres, in metres: of ``"12 0, 13.5 4"`` it is ``[(0.012, 0.0), (0.0135, 0.004)]``."""
+    return [tuple(float(number) / 1000 for number in place.split()) for place in text.split(",")]
+
+
+def _lay_boxwise(mesh: bmesh.types.BMesh, size: Sequence[float], tile: float, atlas: Atlas | None) -> None:
+    """Lays a picture on the faces by the side that each faces: by the atlas, else repeating, its grain (u) along the longest edge."""
+    uv = mesh.loops.layers.uv.new("UVMap")
+    mesh.normal_update()
+    spread = [max(v.co[k] for v in mesh.verts) - min(v.co[k] for v in mesh.verts) for k in range(3)]
+    for face in mesh.faces:
+        axis = max(range(3), key=lambda k: abs(face.normal[k]))
+        side = ("+" if face.normal[axis] > 0 else "-") + "xyz"[axis]
+        for loop in face.loops:
+            co = loop.vert.co
+            if atlas is not None:
+                loop[uv].uv = _in_atlas(co, side, size, atlas.get(side, (0.0, 0.0, 0.001, 0.001)))
+                continue
+            others = [k for k in range(3) if k != axis]
+            along = max(others, key=lambda k: spread[k])
+            across = next(k for k in others if k != along)
+            loop[uv].uv = (co[along] / (tile or 1.0), co[across] / (tile or 1.0) + 0.37 * axis)
+
+
+def _in_atlas(co: Vector, side: str, size: Sequence[float], window: tuple[float, float, float, float]) -> tuple[float, float]:
+    """Returns where a point of a side lies in the picture: seen from outside, z up; from above, +x is below (towards who stands in front)."""
+    x, y, z = (co[k] / size[k] + 0.5 for k in range(3))
+    right, up = {
+        "+x": (y, z),
+        "-x": (1 - y, z),
+        "+y": (1 - x, z),
+        "-y": (x, z),
+        "+z": (y, 1 - x),
+        "-z": (1 - y, 1 - x),
+    }[side]
+    left, top, end, bottom = window
+    return left + right * (end - left), 1.0 - (bottom + up * (top - bottom))
+
+
+def _linear(value: float) -> float:
+    return value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4

@@ -1,0 +1,324 @@
+"""Solids in the making: triangles with a material, a tint, coordinates for the pattern and a chart of the atlas. NumPy only.
+
+Metres, z up, triangles counter-clockwise seen from outside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+Tint = tuple[float, float, float]
+WHITE: Tint = (1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Surface:
+    """How a part looks."""
+
+    material: str
+    """A name of ``materials.RECIPES``."""
+    tint: Tint = WHITE
+    """Colour, sRGB."""
+    importance: float = 1.0
+    """Factor of the density of texels."""
+
+
+@dataclass
+class Part:
+    """Connected triangles of one look."""
+
+    vertices: F64
+    """(V, 3)."""
+    triangles: I64
+    """(F, 3)."""
+    surface: Surface
+    uv: F64
+    """(F, 3, 2): place of each corner in its chart, metres."""
+    chart: I64
+    """(F,): number of the chart, from 0."""
+    pattern: F64
+    """(F, 3, 3): coordinates for the pattern, metres; x along the grain."""
+    importance: F64
+    """(F,): factor of the density of texels."""
+
+
+class Solid:
+    """An object in the making."""
+
+    def __init__(self, rng: np.random.Generator, style: int = 0) -> None:
+        self.style = style
+        """Decides what all pieces of a building have in common."""
+        self.parts: list[Part] = []
+        self.boxes: list[tuple[F64, F64]] = []
+        """Low and high corners of what is bumped into."""
+        self.rng = rng
+
+    def collide(self, low: ArrayLike, high: ArrayLike) -> None:
+        """Adds a box to what is bumped into."""
+        a, b = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
+        self.boxes.append((np.minimum(a, b), np.maximum(a, b)))
+
+    def add(
+        self, vertices: ArrayLike, triangles: ArrayLike, surface: Surface, uv: F64 | None = None, chart: ArrayLike | None = None
+    ) -> Part:
+        """Adds triangles; without ``uv`` each is seen along the axis that it faces most."""
+        v, t = np.asarray(vertices, dtype=float), np.asarray(triangles, dtype=np.int64)
+        corners = v[t]
+        sides = facing(corners)
+        if uv is None:
+            uv = projected(corners, sides)
+        numbers = sides if chart is None else np.asarray(chart, dtype=np.int64)
+        part = Part(v, t, surface, uv, numbers, self._pattern(corners), np.full(len(t), surface.importance))
+        self.parts.append(part)
+        return part
+
+    def _pattern(self, corners: F64) -> F64:
+        """Returns coordinates whose x runs along the longest side, from a place of its own."""
+        flat = corners.reshape(-1, 3)
+        longest = int(np.argmax(np.ptp(flat, axis=0)))
+        return np.asarray(np.roll(corners, -longest, axis=2) + self.rng.uniform(0, 50, 3))
+
+    def box(
+        self, low: ArrayLike, high: ArrayLike, surface: Surface, bevel: float = 0.004, open_sides: str = "", solid: bool = False
+    ) -> Part:
+        """Adds a box with chamfered edges.
+
+        Args:
+            low: corner.
+            high: the opposite corner.
+            surface: its look.
+            bevel: width of the chamfer; 0 = sharp.
+            open_sides: sides that nobody sees and that get few texels: of ``-x +x -y +y -z +z``, separated by blanks.
+            solid: it is also bumped into.
+        """
+        a, b = np.minimum(low, high).astype(float), np.maximum(low, high).astype(float)
+        if solid:
+            self.collide(a, b)
+        bevel = float(min(bevel, 0.3 * (b - a).min()))
+        vertices, triangles = _chamfered(a, b, bevel) if bevel > 1e-5 else _sharp(a, b)
+        part = self.add(vertices, triangles, surface)
+        for side in open_sides.split():
+            number = "xyz".index(side[1]) * 2 + (side[0] == "-")
+            part.importance[part.chart == number] *= 0.15
+        return part
+
+    def cushion(
+        self,
+        low: ArrayLike,
+        high: ArrayLike,
+        surface: Surface,
+        power: float = 4.0,
+        steps: int = 6,
+        sag: float = 0.0,
+        noise: float = 0.0,
+    ) -> Part:
+        """Adds something soft: a rounded box, the rounder the smaller ``power``; ``sag`` and ``noise`` are metres."""
+        a, b = np.minimum(low, high).astype(float), np.maximum(low, high).astype(float)
+        grid, triangles = _cube_grid(steps)
+        sphere = grid / (np.abs(grid) ** power).sum(axis=1, keepdims=True) ** (1.0 / power)
+        middle, half = (a + b) / 2, (b - a) / 2
+        points = sphere * half
+        if noise:
+            phase = self.rng.uniform(0, 6.3, (3, 3))
+            wave = sum(np.sin(points @ self.rng.normal(0, 9.0, 3) + phase[k, 0]) for k in range(3))
+            points = points * (1 + (noise / half.mean() / 3) * np.asarray(wave)[:, None])
+        if sag:
+            along = np.clip(1 - (sphere[:, :2] ** 2).sum(axis=1), 0, 1)
+            points[:, 2] -= sag * along * (sphere[:, 2] > 0)
+        points = np.clip(points, -half, half)
+        return self.add(points + middle, triangles, surface)
+
+    def lathe(self, middle: ArrayLike, profile: Sequence[tuple[float, float]], surface: Surface, sides: int = 14) -> Part:
+        """Adds a body of revolution about the upright line through ``middle``.
+
+        Args:
+            middle: (3,) of the line and the height 0.
+            profile: radius and height, upwards on the outside; a radius of 0 closes it.
+            surface: its look.
+            sides: number of facets.
+        """
+        rows = np.asarray(profile, dtype=float)
+        angle = np.arange(sides) * (2 * np.pi / sides)
+        ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        points = np.concatenate([np.column_stack([ring * r, np.full(sides, z)]) for r, z in rows]) + np.asarray(
+            middle, dtype=float
+        )
+        return self._rings(points, len(rows), sides, surface, rows)
+
+    def tube(self, path: ArrayLike, radius: ArrayLike, surface: Surface, sides: int = 8) -> Part:
+        """Adds a bent round bar along ``path`` (N, 3), closed at its ends."""
+        p = np.asarray(path, dtype=float)
+        radii = np.broadcast_to(np.asarray(radius, dtype=float), (len(p),))
+        tangent = np.gradient(p, axis=0)
+        tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+        helper = np.eye(3)[int(np.argmin(np.abs(tangent).max(axis=0)))]
+        side = np.cross(tangent, helper)
+        side /= np.linalg.norm(side, axis=1, keepdims=True)
+        up = np.cross(tangent, side)
+        angle = np.arange(sides) * (-2 * np.pi / sides)
+        around = np.cos(angle)[None, :, None] * side[:, None] + np.sin(angle)[None, :, None] * up[:, None]
+        rings = p[:, None] + around * radii[:, None, None]
+        points = np.concatenate([np.tile(p[:1], (sides, 1)), rings.reshape(-1, 3), np.tile(p[-1:], (sides, 1))])
+        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
+        rows = np.column_stack([np.concatenate([[0.0], radii, [0.0]]), np.concatenate([[length[0]], length, [length[-1]]])])
+        return self._rings(points, len(rows), sides, surface, rows)
+
+    def _rings(self, points: F64, count: int, sides: int, surface: Surface, rows: F64) -> Part:
+        """Joins rings of points; steep bands are unrolled, flat ones seen from above."""
+        triangles, uv, chart = [], [], []
+        steps = np.diff(rows, axis=0)
+        flat = np.abs(steps[:, 1]) < 0.35 * np.abs(steps[:, 0])
+        number = np.cumsum(np.concatenate([[0], flat[1:] != flat[:-1]]))
+        length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(steps, axis=1))])
+        angle = np.arange(sides + 1) * (2 * np.pi / sides)
+        for band in range(count - 1):
+            widest = max(rows[(k, k + 1), 0].max() for k in range(count - 1) if number[k] == number[band])
+            for j in range(sides):
+                k = (j + 1) % sides
+                quad = [band * sides + j, band * sides + k, (band + 1) * sides + k, (band + 1) * sides + j]
+                turns = (j, j + 1, j + 1, j)
+                levels = (band, band, band + 1, band + 1)
+                if flat[band]:
+                    place = [
+                        (rows[b, 0] * np.cos(angle[a]), rows[b, 0] * np.sin(angle[a])) for a, b in zip(turns, levels, strict=True)
+                    ]
+                else:
+                    place = [(angle[a] * widest, length[b]) for a, b in zip(turns, levels, strict=True)]
+                for pick in ((0, 1, 2), (0, 2, 3)):
+                    ends = points[[quad[i] for i in pick]]
+                    if np.linalg.norm(np.cross(ends[1] - ends[0], ends[2] - ends[0])) < 1e-12:
+                        continue
+                    triangles.append([quad[i] for i in pick])
+                    uv.append([place[i] for i in pick])
+                    chart.append(number[band])
+        return self.add(points, triangles, surface, np.asarray(uv), chart)
+
+    def sheet(self, grid: ArrayLike, surface: Surface) -> Part:
+        """Adds a cloth or a leaf: a grid of points (A, B, 3), its front to the side from which A right, B up is seen."""
+        g = np.asarray(grid, dtype=float)
+        a, b = g.shape[:2]
+        u = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(g, axis=0), axis=2).mean(axis=1))])
+        v = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(g, axis=1), axis=2).mean(axis=0))])
+        triangles = grid_triangles(a, b)
+        place = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
+        part = self.add(g.reshape(-1, 3), triangles, surface, place[triangles], np.zeros(len(triangles), dtype=np.int64))
+        part.pattern = np.concatenate([place, np.zeros((len(place), 1))], axis=1)[triangles]
+        return part
+
+    def quad(self, corners: ArrayLike, surface: Surface, pattern: ArrayLike | None = None) -> Part:
+        """Adds a flat quad (4, 3), counter-clockwise from outside; ``pattern`` (4, 3) are its coordinates for the pattern."""
+        c = np.asarray(corners, dtype=float)
+        triangles = np.array([[0, 1, 2], [0, 2, 3]])
+        first = (c[1] - c[0]) / np.linalg.norm(c[1] - c[0])
+        normal = np.cross(c[1] - c[0], c[3] - c[0])
+        second = np.cross(normal / np.linalg.norm(normal), first)
+        place = np.stack([(c - c[0]) @ first, (c - c[0]) @ second], axis=1)
+        part = self.add(c, triangles, surface, place[triangles], [0, 0])
+        if pattern is not None:
+            part.pattern = np.asarray(pattern, dtype=float)[triangles]
+        return part
+
+    def turned(self, since: int, T_new_old: ArrayLike) -> None:
+        """Moves the parts from number ``since`` on by a (4, 4) transform."""
+        matrix = np.asarray(T_new_old, dtype=float)
+        for part in self.parts[since:]:
+            part.vertices = part.vertices @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def placed(position: Sequence[float], yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> F64:
+    """Returns the (4, 4) transform: roll about x, pitch about y, yaw about z, radians, then the move."""
+    (cy, sy), (cp, sp), (cr, sr) = ((np.cos(a), np.sin(a)) for a in (yaw, pitch, roll))
+    turn = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]]) @ np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn @ np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    matrix[:3, 3] = position
+    return matrix
+
+
+def facing(corners: F64) -> I64:
+    """Returns for triangles (F, 3, 3) the side that each faces most: 0 = +x, 1 = -x, 2 = +y, 3 = -y, 4 = +z, 5 = -z."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    axis = np.argmax(np.abs(normal) + np.array([0, 1e-9, 2e-9]), axis=1)
+    return np.asarray(axis * 2 + (normal[np.arange(len(normal)), axis] < 0), dtype=np.int64)
+
+
+def projected(corners: F64, sides: I64) -> F64:
+    """Returns (F, 3, 2): the corners as seen from their sides."""
+    axis = sides // 2
+    others = np.array([[1, 2], [0, 2], [0, 1]])[axis]
+    return np.take_along_axis(corners, others[:, None, :], axis=2)
+
+
+def grid_triangles(a: int, b: int) -> I64:
+    """Returns the (F, 3) triangles of a grid of a x b points, stored row by row."""
+    i = (np.arange(a - 1)[:, None] * b + np.arange(b - 1)).ravel()
+    return np.concatenate([np.stack([i, i + b, i + b + 1], 1), np.stack([i, i + b + 1, i + 1], 1)])
+
+
+def _sharp(a: F64, b: F64) -> tuple[F64, I64]:
+    return np.where(_CORNERS, b, a), _SHARP
+
+
+def _chamfered(a: F64, b: F64, bevel: float) -> tuple[F64, I64]:
+    """Returns a box whose every corner is three points, one in each of its sides."""
+    corner, inward = np.where(_CORNERS, b, a), np.where(_CORNERS, -bevel, bevel)
+    points = corner[:, None, :] + inward[:, None, :] * (1 - np.eye(3))[None]  # corner * 3 + axis of its side
+    return points.reshape(-1, 3), _CHAMFERED
+
+
+def _chamfered_triangles() -> I64:
+    """Returns the triangles of a chamfered box: sides, edges, corners."""
+    polygons = [[c * 3 + axis for c in quad] for axis, quads in enumerate((_QUADS[:2], _QUADS[2:4], _QUADS[4:])) for quad in quads]
+    for axis in range(3):
+        p, q = (k for k in range(3) if k != axis)
+        for sp in (0, 1):
+            for sq in (0, 1):
+                ends = [4 * s[0] + 2 * s[1] + s[2] for s in (_signs(axis, e, p, sp, q, sq) for e in (0, 1))]
+                polygons.append([ends[0] * 3 + p, ends[1] * 3 + p, ends[1] * 3 + q, ends[0] * 3 + q])
+    polygons += [[c * 3, c * 3 + 1, c * 3 + 2] for c in range(8)]
+    points = (_CORNERS[:, None, :] * 2.0 - 1.0 - 0.2 * (_CORNERS[:, None, :] * 2 - 1) * (1 - np.eye(3))[None]).reshape(-1, 3)
+    triangles = []
+    for polygon in polygons:
+        for k in range(1, len(polygon) - 1):
+            t = [polygon[0], polygon[k], polygon[k + 1]]
+            normal = np.cross(points[t[1]] - points[t[0]], points[t[2]] - points[t[0]])
+            triangles.append(t if normal @ points[t].mean(axis=0) > 0 else t[::-1])
+    return np.array(triangles)
+
+
+def _signs(axis: int, end: int, p: int, sp: int, q: int, sq: int) -> list[int]:
+    signs = [0, 0, 0]
+    signs[axis], signs[p], signs[q] = end, sp, sq
+    return signs
+
+
+def _cube_grid(steps: int) -> tuple[F64, I64]:
+    """Returns the surface of the cube from -1 to 1 as a grid of shared points."""
+    line = np.linspace(-1, 1, steps + 1)
+    line = np.sin(line * np.pi / 2) * 0.6 + line * 0.4  # more of them towards the edges
+    blocks: list[F64] = []
+    triangles: list[I64] = []
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            p, q = np.meshgrid(line, line, indexing="ij")
+            block = np.empty((p.size, 3))
+            block[:, axis], block[:, (axis + 1) % 3], block[:, (axis + 2) % 3] = sign, p.ravel(), q.ravel()
+            faces = grid_triangles(steps + 1, steps + 1)
+            triangles.append((faces if sign > 0 else faces[:, ::-1]) + sum(len(k) for k in blocks))
+            blocks.append(block)
+    every = np.concatenate(blocks)
+    _, first, index = np.unique(np.round(every, 6), axis=0, return_index=True, return_inverse=True)
+    return every[first], np.asarray(index).reshape(-1)[np.concatenate(triangles)]
+
+
+_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+_QUADS = [(4, 6, 7, 5), (0, 1, 3, 2), (2, 3, 7, 6), (0, 4, 5, 1), (1, 5, 7, 3), (0, 2, 6, 4)]
+"""Sides of a box: +x, -x, +y, -y, +z, -z."""
+_SHARP = np.array([t for q in _QUADS for t in ((q[0], q[1], q[2]), (q[0], q[2], q[3]))])
+_CHAMFERED = _chamfered_triangles()

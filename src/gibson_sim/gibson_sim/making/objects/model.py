@@ -1,0 +1,186 @@
+"""What an object is before it is a URDF: links of simple solids, joints, masses. Plain values and their arithmetic; NumPy alone.
+
+Frames: the origin of an object is in the middle of its underside, x to its front, y to its left, z up; doors and windows have theirs in the
+hinge (see ``joined``). Metres, kilograms, radians.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.types import Vec3
+
+F64 = NDArray[np.float64]
+ZERO: Vec3 = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Solid:
+    """A part of a link that is bumped into and has mass."""
+
+    kind: Literal["box", "cylinder", "sphere"]
+    size: Vec3
+    """box: edge lengths; cylinder about z: (radius, length, 0); sphere: (radius, 0, 0)."""
+    middle: Vec3
+    """In the frame of its link."""
+    rpy: Vec3 = ZERO
+    """Roll, pitch, yaw about fixed axes."""
+
+    @property
+    def volume(self) -> float:
+        """Cubic metres."""
+        a, b, c = self.size
+        if self.kind == "box":
+            return a * b * c
+        return math.pi * a * a * b if self.kind == "cylinder" else 4.0 / 3.0 * math.pi * a**3
+
+    @property
+    def second_moments(self) -> F64:
+        """Returns the integral of x x^T over the solid about its middle, (3, 3), of density 1 over its volume, in its link's axes."""
+        a, b, c = self.size
+        if self.kind == "box":
+            own = np.diag([a * a, b * b, c * c]) / 12.0
+        elif self.kind == "cylinder":
+            own = np.diag([a * a / 4.0, a * a / 4.0, b * b / 12.0])
+        else:
+            own = np.eye(3) * a * a / 5.0
+        turn = rotation(self.rpy)
+        return np.asarray(turn @ own @ turn.T)
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """One rigid part."""
+
+    name: str
+    mass: float
+    """kg; spread evenly over the solids."""
+    solids: tuple[Solid, ...]
+    friction: float = 0.5
+    rolling_friction: float = 0.0
+    """Metres: what holds a round thing back; 0 = it rolls on for ever."""
+    center: Vec3 | None = None
+    """Centre of mass where it is not that of the solids: a handle that is balanced by a spring."""
+    visual: bool = True
+    """Whether there is a mesh of it."""
+    mesh: str = ""
+    """Name of its mesh where several links share one; empty = the link's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """How one link moves on another."""
+
+    name: str
+    kind: Literal["revolute", "prismatic", "fixed"]
+    parent: str
+    child: str
+    origin: Vec3
+    """Of the child's frame in the parent's, at position 0; the axes of both are parallel."""
+    axis: Vec3 = (0.0, 0.0, 1.0)
+    lower: float = 0.0
+    upper: float = 0.0
+    damping: float = 0.0
+    """N m s/rad, or N s/m."""
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectModel:
+    """One object."""
+
+    name: str
+    semantic_class: str
+    size: Vec3
+    """Depth (x), width (y), height (z) of what is drawn, all joints at 0."""
+    links: tuple[Link, ...]
+    """The root first."""
+    joints: tuple[Joint, ...] = ()
+    built_in: bool = False
+    """It is fixed to the world: a door, a window."""
+
+    @property
+    def mass(self) -> float:
+        """Of all links, kg."""
+        return sum(link.mass for link in self.links)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MassProperties:
+    """How the mass of a link lies."""
+
+    mass: float
+    center: F64
+    """(3,), frame of the link."""
+    inertia: F64
+    """(3, 3), about the centre, kg m^2."""
+
+
+def mass_properties(link: Link) -> MassProperties:
+    """Returns mass, centre and inertia of a link, its mass spread evenly over its solids."""
+    total = sum(solid.volume for solid in link.solids)
+    center = sum((solid.volume / total * np.array(solid.middle) for solid in link.solids), np.zeros(3))
+    second = np.zeros((3, 3))
+    for solid in link.solids:
+        offset = np.array(solid.middle) - center
+        second += link.mass * solid.volume / total * (solid.second_moments + np.outer(offset, offset))
+    inertia = np.trace(second) * np.eye(3) - second
+    return MassProperties(link.mass, center if link.center is None else np.array(link.center), inertia)
+
+
+def rotation(rpy: Sequence[float]) -> F64:
+    """Returns Rz(yaw) Ry(pitch) Rx(roll), (3, 3)."""
+    (cr, sr), (cp, sp), (cy, sy) = ((math.cos(angle), math.sin(angle)) for angle in rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def box(low: Vec3, high: Vec3) -> Solid:
+    """Returns the box between two corners."""
+    size = tuple(abs(b - a) for a, b in zip(low, high, strict=True))
+    middle = tuple((a + b) / 2.0 for a, b in zip(low, high, strict=True))
+    return Solid("box", (size[0], size[1], size[2]), (middle[0], middle[1], middle[2]))
+
+
+def upright(radius: float, low: float, high: float, x: float = 0.0, y: float = 0.0) -> Solid:
+    """Returns an upright cylinder from one height to another."""
+    return Solid("cylinder", (radius, high - low, 0.0), (x, y, (low + high) / 2.0))
+
+
+def ball(radius: float) -> Solid:
+    """Returns a ball that lies on z = 0."""
+    return Solid("sphere", (radius, 0.0, 0.0), (0.0, 0.0, radius))
+
+
+def ring_wall(bottom: float, top: float, low: float, high: float, thickness: float, sides: int = 8) -> tuple[Solid, ...]:
+    """Returns boxes that stand around a hollow: the wall of a bowl or a bin, open above.
+
+    Args:
+        bottom: outer radius at the height ``low``.
+        top: outer radius at the height ``high``.
+        low: metres.
+        high: metres.
+        thickness: of the wall.
+        sides: how many.
+    """
+    lean = math.atan2(top - bottom, high - low)
+    length = math.hypot(top - bottom, high - low)
+    # The middle of a side is nearer to the axis than its ends: those lie on the outline.
+    apothem = ((bottom + top) / 2.0 - thickness / 2.0 * math.cos(lean)) * math.cos(math.pi / sides)
+    width = 2.0 * max(bottom, top) * math.sin(math.pi / sides)
+    walls = []
+    for k in range(sides):
+        yaw = 2.0 * math.pi * (k + 0.5) / sides
+        middle = (apothem * math.cos(yaw), apothem * math.sin(yaw), (low + high) / 2.0)
+        walls.append(Solid("box", (thickness, width, length), middle, (0.0, lean, yaw)))
+    return tuple(walls)

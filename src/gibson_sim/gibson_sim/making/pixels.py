@@ -1,0 +1,96 @@
+"""Images of baked light: gaps filled, light and colour put together, tones as of a photograph. NumPy only."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+F32 = NDArray[np.float32]
+_MIDDLE = 0.48
+"""Linear brightness that the middle of a scene's tones gets before the curve."""
+_BALANCE = 0.6
+"""Part of the tint of all light that is taken out."""
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+_SHOULDER = 4.2
+"""Linear brightness that becomes white."""
+
+
+def filled(image: F32, covered: NDArray[np.bool_]) -> F32:
+    """Returns an image (H, W, C) whose gaps have the colours around them.
+
+    Beside a chart lie its own colours, so that nothing of its neighbour bleeds into it; the rest is pushed and pulled through ever smaller images.
+    """
+    image, weight = _grown(image, covered.astype(np.float32)[..., None])
+    levels = [(image * weight, weight)]
+    while min(levels[-1][0].shape[:2]) > 1:
+        color, part = levels[-1]
+        height, width = color.shape[0] // 2 * 2, color.shape[1] // 2 * 2
+        summed = [a[:height, :width].reshape(height // 2, 2, width // 2, 2, -1).sum(axis=(1, 3)) for a in (color, part)]
+        known = np.minimum(summed[1], 1.0)
+        levels.append((summed[0] / np.maximum(summed[1], 1e-6) * known, known))
+    result = levels[-1][0] / np.maximum(levels[-1][1], 1e-6)
+    for color, part in reversed(levels[:-1]):
+        above = result.repeat(2, axis=0).repeat(2, axis=1)
+        short = [(0, max(0, color.shape[k] - above.shape[k])) for k in (0, 1)]
+        above = np.pad(above, [*short, (0, 0)], mode="edge")
+        result = color + above[: color.shape[0], : color.shape[1]] * (1 - part)
+    return np.asarray(result, dtype=np.float32)
+
+
+def _grown(image: F32, covered: F32) -> tuple[F32, F32]:
+    """Returns image and coverage (H, W, 1) after every chart has grown by one pixel."""
+    padded, mask = (np.pad(a, [(1, 1), (1, 1), (0, 0)]) for a in (image * covered, covered))
+    height, width = image.shape[:2]
+    total, count = np.zeros_like(image), np.zeros_like(covered)
+    for j in range(3):
+        for i in range(3):
+            total += padded[j : j + height, i : i + width]
+            count += mask[j : j + height, i : i + width]
+    return np.where(covered > 0, image, total / np.maximum(count, 1)), np.minimum(count, 1.0)
+
+
+def doubled(image: F32) -> F32:
+    """Returns an image (H, W, C) of twice the size; pixels are squares, values between their middles are mixed."""
+    for axis in (0, 1):
+        before = np.concatenate([image.take([0], axis), image.take(range(image.shape[axis] - 1), axis)], axis)
+        after = np.concatenate([image.take(range(1, image.shape[axis]), axis), image.take([-1], axis)], axis)
+        pair = np.stack([0.75 * image + 0.25 * before, 0.75 * image + 0.25 * after], axis + 1)
+        shape = list(image.shape)
+        shape[axis] *= 2
+        image = pair.reshape(shape)
+    return image.astype(np.float32)
+
+
+def exposure_of(samples: list[F32]) -> F32:
+    """Returns the factors (3,) of red, green and blue that expose a scene well and take most of the tint out of its light.
+
+    Args:
+        samples: (N, 3) linear colours in their light. What lies in the dark, behind and below things, does not count.
+    """
+    values = np.concatenate([a.reshape(-1, 3) for a in samples]).astype(np.float64)
+    bright = values @ _LUMINANCE
+    seen = bright > 0.06 * np.percentile(bright, 90)
+    mean = values[seen].mean(axis=0)
+    balance = (mean @ _LUMINANCE / np.maximum(mean, 1e-6)) ** _BALANCE
+    middle = np.exp(np.log(bright[seen]).mean())
+    return np.asarray(balance * _MIDDLE / max(middle, 1e-6), dtype=np.float32)
+
+
+def toned(linear: ArrayLike) -> NDArray[np.uint8]:
+    """Returns sRGB, 8 bits, of linear colours: straight in the shadows, bent towards white in the lights, as a camera does.
+
+    The curve is that of Reinhard et al., "Photographic Tone Reproduction for Digital Images" (2002), equation 4, on the brightest channel, mixed
+    with the same on each channel, so that what is bright loses its colour.
+    """
+    color = np.maximum(np.asarray(linear, dtype=np.float32), 0.0)
+    peak = np.maximum(color.max(axis=-1, keepdims=True), 1e-6)
+    kept = color * (_curve(peak) / peak)
+    mixed = 0.55 * kept + 0.45 * _curve(color)
+    srgb = np.where(mixed <= 0.0031308, 12.92 * mixed, 1.055 * np.maximum(mixed, 1e-6) ** (1 / 2.4) - 0.055)
+    # A little more contrast about the middle, as pictures of cameras have.
+    curved = srgb + 0.13 * (srgb - 0.5) * (1 - (2 * srgb - 1) ** 2) * 2
+    return np.asarray(np.clip(np.round(curved * 255), 0, 255), dtype=np.uint8)
+
+
+def _curve(value: F32) -> F32:
+    return np.minimum(value * (1 + value / _SHOULDER**2) / (1 + value) * 1.06, 1.0)

@@ -1,0 +1,207 @@
+"""Makes a finished scene of what Blender baked: meshes, atlases, scene.yaml, licence, thumbnail. Needs no Blender."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from gibson_sim.errors import SceneError
+from gibson_sim.making.building import Building
+from gibson_sim.making.building_file import Quality
+from gibson_sim.making.glb import Paint, Patch, write_boxes, write_glb
+from gibson_sim.making.outside import outside
+from gibson_sim.making.pixels import F32, doubled, exposure_of, filled, toned
+
+ASSETS = "assets"
+OUTSIDE = "outside.jpg"
+LIMIT_BYTES = 12_000_000
+_GLASS_ALPHA = 0.16
+_REFLECTED = 0.88
+"""Part of the light that a mirror gives back."""
+_LICENSE = """CC0 1.0 Universal (Public Domain Dedication)
+
+To the extent possible under law, the makers of this scene have waived all copyright and related or neighbouring rights to all files in this
+folder. The text of the dedication: https://creativecommons.org/publicdomain/zero/1.0/legalcode
+
+The scene was made by `{command}`; nothing in it was taken from elsewhere.
+"""
+
+
+def write_scene_folder(building: Building, quality: Quality, work: Path, folder: Path, command: str) -> None:
+    """Writes all files of a scene but the thumbnail.
+
+    Args:
+        building: the plan.
+        quality: as baked.
+        work: folder with what ``gibson_sim.making.blender`` made.
+        folder: of the scene; what it held of these files is replaced.
+        command: that made it.
+
+    Raises:
+        SceneError: something was not baked, or the scene is too large.
+    """
+    mesh = _load(work / "mesh.npz")
+    assets = folder / ASSETS
+    assets.mkdir(parents=True, exist_ok=True)
+    for old in [*assets.glob("*.glb"), *assets.glob("*.jpg")]:
+        old.unlink()
+    _write_atlases(work, assets, sorted({int(k) for k in mesh["atlas"] if k >= 0}), quality)
+    _write_image(assets / OUTSIDE, outside(building.seed), quality.jpeg)
+    objects = _write_objects(mesh, assets)
+    text = yaml.dump(
+        _description(building, objects, command), sort_keys=False, default_flow_style=None, width=160, allow_unicode=True
+    )
+    (folder / "scene.yaml").write_text(f"# Made by: {command}\n{text}", encoding="utf-8")
+    (folder / "LICENSE").write_text(_LICENSE.format(command=command), encoding="utf-8")
+    size = sum(f.stat().st_size for f in folder.rglob("*") if f.is_file())
+    if size > LIMIT_BYTES:
+        raise SceneError(f"{folder}: has {size / 1e6:.1f} MB, more than {LIMIT_BYTES / 1e6:.0f}; take a lower quality")
+
+
+def _load(path: Path) -> dict[str, NDArray[Any]]:
+    try:
+        with np.load(path) as file:
+            return {name: file[name] for name in file.files}
+    except (OSError, ValueError) as e:
+        raise SceneError(f"{path}: cannot be read: {e}; bake the scene again") from e
+
+
+def _write_atlases(work: Path, assets: Path, atlases: Iterable[int], quality: Quality) -> None:
+    images = []
+    for k in atlases:
+        try:
+            color, light = (np.load(work / f"{what}_{k}.npy").astype(np.float32) for what in ("color", "light"))
+        except (OSError, ValueError) as e:
+            raise SceneError(f"{work}: atlas {k} was not baked: {e}; start again, what is finished is kept") from e
+        image = compose(color, light)
+        for uv, reflected in _mirrors(work, k):
+            put_mirror(image, uv, reflected)
+        images.append((k, image, color[..., 3] > 0.5))
+    exposure = exposure_of([image[covered][:: max(1, covered.sum() // 50_000)] for _, image, covered in images])
+    for k, image, _ in images:
+        pixels = toned(image * exposure)[::-1]
+        _write_image(assets / f"atlas_{k}.jpg", pixels, quality.jpeg)
+
+
+def _write_image(path: Path, rgb: NDArray[np.uint8], jpeg: int) -> None:
+    cv2.imwrite(str(path), cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, jpeg])
+
+
+def _mirrors(work: Path, atlas: int) -> Iterable[tuple[NDArray[np.float64], F32]]:
+    """Yields the corners (4, 2) of the mirrors in an atlas, and what they show."""
+    content = _load(work / "mirrors.npz")
+    for name in content:
+        number = name.removeprefix("image_")
+        if name != number and int(content[f"atlas_{number}"]) == atlas:
+            yield content[f"uv_{number}"], content[name].astype(np.float32)
+
+
+def put_mirror(image: F32, uv: NDArray[np.float64], reflected: F32) -> None:
+    """Draws what a mirror shows into its atlas.
+
+    Args:
+        image: (H, W, 3), row 0 at the bottom; is changed.
+        uv: (4, 2): lower left, lower right, upper right, upper left corner of the mirror, 0 to 1.
+        reflected: (h, w, 3), row 0 at the bottom.
+    """
+    height, width = image.shape[:2]
+    corners = uv * [width, height]
+    low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 1, 0)
+    high = np.ceil(corners.max(axis=0)).astype(int) + 1
+    x, y = np.meshgrid(np.arange(low[0], min(high[0], width)), np.arange(low[1], min(high[1], height)))
+    across = np.stack([corners[1] - corners[0], corners[3] - corners[0]], axis=1)
+    place = (np.stack([x + 0.5, y + 0.5], axis=-1) - corners[0]) @ np.linalg.inv(across).T
+    columns = np.clip(place[..., 0] * reflected.shape[1], 0, reflected.shape[1] - 1).astype(int)
+    rows = np.clip(place[..., 1] * reflected.shape[0], 0, reflected.shape[0] - 1).astype(int)
+    image[y, x] = _REFLECTED * reflected[rows, columns]
+
+
+def compose(color: F32, light: F32) -> F32:
+    """Returns the colours (H, W, 3) in their light, linear.
+
+    Args:
+        color: (H, W, 4), linear; the last channel is 1 where there is a surface.
+        light: (H / 2, W / 2, 4), light on white.
+    """
+    whole = filled(color[..., :3], color[..., 3] > 0.5)
+    return np.asarray(whole * doubled(np.maximum(light[..., :3], 0.0)), dtype=np.float32)
+
+
+def _write_objects(mesh: dict[str, NDArray[Any]], assets: Path) -> list[dict[str, Any]]:
+    """Writes the mesh of each object, and what is bumped into; returns the entries of scene.yaml."""
+    objects = []
+    for number, name in enumerate(mesh["names"].tolist()):
+        chosen = np.flatnonzero(mesh["owner"] == number)
+        if not mesh["exported"][number] or not len(chosen):
+            continue
+        write_glb(assets / f"{name}.glb", list(_patches(mesh, chosen)))
+        boxes = mesh["boxes"][mesh["box_owner"] == number]
+        entry: dict[str, Any] = {"name": name, "mesh": f"{ASSETS}/{name}.glb", "semantic_class": mesh["classes"].tolist()[number]}
+        if len(boxes):
+            write_boxes(assets / f"{name}_collision.glb", boxes)
+            entry["collision"] = f"{ASSETS}/{name}_collision.glb"
+        else:
+            entry["collision"] = "none"
+        objects.append(entry)
+    return objects
+
+
+def _patches(mesh: dict[str, NDArray[Any]], chosen: NDArray[np.int64]) -> Iterable[Patch]:
+    atlas = mesh["atlas"][chosen]
+    for k in sorted(set(atlas.tolist())):
+        rows = chosen[atlas == k]
+        if k >= 0:
+            yield Patch(Paint(f"atlas_{k}.jpg"), mesh["corners"][rows].astype(float), mesh["uv"][rows].astype(float))
+            continue
+        looks = np.column_stack([mesh["tint"][rows], mesh["pattern"][rows]])
+        for look in np.unique(looks, axis=0):
+            same = rows[(looks == look).all(axis=1)]
+            glass = mesh["patterns"].tolist()[int(look[3])] == "glass"
+            color = (float(look[0]), float(look[1]), float(look[2]), _GLASS_ALPHA if glass else 1.0)
+            yield Patch(Paint(color=color), mesh["corners"][same].astype(float))
+
+
+def _description(building: Building, objects: list[dict[str, Any]], command: str) -> dict[str, Any]:
+    """Returns the content of scene.yaml."""
+    rooms = [room for storey in building.storeys for room in storey.rooms]
+    described = {"flat": "A flat", "house": "A house", "office": "An office", "shop": "A shop"}[building.kind]
+    starts = [
+        {"name": s.name, "xyz": [round(v, 3) for v in s.position], "yaw_deg": round(math.degrees(s.yaw), 1)}
+        for s in building.starts
+    ]
+    document: dict[str, Any] = {
+        "name": building.name,
+        "description": f"{described} of {len(rooms)} rooms, its light baked in",
+        "ground_z": building.storeys[0].floor_z,
+        "floor_z": building.storeys[0].floor_z,
+        "floors": [storey.floor_z for storey in building.storeys],
+        "light": {
+            "sun_direction": list(building.sun_direction), "sun": 0.0, "ambient": 0.0, "background": [0.93, 0.96, 0.98],
+            "environment": f"{ASSETS}/{OUTSIDE}", "environment_strength": 1.0,
+        },
+        "starts": starts,
+        "objects": objects,
+    }  # fmt: skip
+    if building.bodies:
+        document["bodies"] = [_body(body) for body in building.bodies]
+    return document
+
+
+def _body(body: Any) -> dict[str, Any]:
+    entry: dict[str, Any] = {
+        "name": body.name,
+        "model": body.model,
+        "pose": {"xyz": [round(v, 4) for v in body.position], "rpy_deg": [0.0, 0.0, round(math.degrees(body.yaw), 3)]},
+    }
+    if body.joints:
+        # Hinges are given in degrees, slides in metres.
+        slides = ("slide", "drawer")
+        entry["joints"] = {k: round(v if k.startswith(slides) else math.degrees(v), 3) for k, v in body.joints.items()}
+    return entry

@@ -1,0 +1,179 @@
+"""What a scan is made with: how the rig goes, the camera, the defects; how it is fused. Presets say what known kinds of scanners do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.settings import check_settings, setting
+
+
+@dataclass(frozen=True, slots=True)
+class TourSettings:
+    """Where the rig goes and looks."""
+
+    coverage: float = setting(
+        0.98, "Part of the surface that can be seen from free places that stations are added for", minimum=0.01, maximum=1.0
+    )
+    frames: int = setting(
+        0, "Most images, of all cameras together; 0 = as many as the coverage needs", minimum=0, maximum=1_000_000
+    )
+    seed: int = setting(0, "Decides the places, the poses and every defect", minimum=0, maximum=2**63 - 1)
+    height_min: float = setting(1.2, "Lowest height of the cameras above the floor", unit="m", minimum=0.1, maximum=10.0)
+    height_max: float = setting(1.6, "Greatest height of the cameras above the floor", unit="m", minimum=0.1, maximum=10.0)
+    clearance: float = setting(
+        0.3, "Distance that the rig keeps to what stands on the floor", unit="m", minimum=0.05, maximum=2.0
+    )
+    turn_deg: float = setting(30.0, "Turn from one view to the next at a station", unit="deg", minimum=1.0, maximum=120.0)
+    path_spacing: float = setting(
+        0.5, "Distance between views on the way from station to station; 0 = none there", unit="m", minimum=0.0, maximum=10.0
+    )
+    pitches_deg: str = setting("-35,0,35", "Pitch of each camera of the rig, up is positive, separated by commas", unit="deg")
+    speed: float = setting(0.4, "Speed on the way; motion blur and drift depend on it", unit="m/s", minimum=0.01, maximum=10.0)
+    turn_speed_deg: float = setting(30.0, "Speed of turns", unit="deg/s", minimum=1.0, maximum=360.0)
+    wobble_deg: float = setting(
+        0.0, "Standard deviation of the rig's tilt: a hand is not a tripod", unit="deg", minimum=0.0, maximum=20.0
+    )
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if self.height_max < self.height_min:
+            raise ConfigError(
+                f"setting 'height_max' is {self.height_max:g} m, must not be below height_min, {self.height_min:g} m"
+            )
+        _ = self.pitches
+
+    @property
+    def pitches(self) -> tuple[float, ...]:
+        """Pitch of each camera, degrees, up is positive.
+
+        Raises:
+            ConfigError: the setting is no list of angles.
+        """
+        try:
+            angles = tuple(float(word) for word in self.pitches_deg.split(","))
+        except ValueError:
+            angles = ()
+        if not angles or len(angles) > 16 or not all(-90.0 <= angle <= 90.0 for angle in angles):
+            raise ConfigError(
+                f"setting 'pitches_deg' is {self.pitches_deg!r}, must be 1 to 16 angles from -90 to 90 as in -35,0,35"
+            )
+        return angles
+
+
+@dataclass(frozen=True, slots=True)
+class ScanCamera:
+    """The camera; all cameras of a rig are alike."""
+
+    width: int = setting(640, "Image width", unit="px", minimum=16, maximum=8192)
+    height: int = setting(480, "Image height", unit="px", minimum=16, maximum=8192)
+    fov_y_deg: float = setting(46.0, "Vertical field of view", unit="deg", minimum=5.0, maximum=150.0)
+    samples: int = setting(4, "Colour samples a pixel: 1 or 4", minimum=1, maximum=4)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Defects:
+    """What a real scanner does to depths, poses and colours. The defaults do nothing but limit the range."""
+
+    depth_constant: float = setting(
+        0.0, "Depth noise: part that does not depend on the depth z", unit="m", minimum=0.0, maximum=1.0
+    )
+    depth_linear: float = setting(0.0, "Depth noise: part that grows with z", minimum=0.0, maximum=1.0)
+    depth_quadratic: float = setting(0.0, "Depth noise: part that grows with z^2", unit="1/m", minimum=0.0, maximum=1.0)
+    disparity_step_px: float = setting(
+        0.0, "Depths come in steps of this disparity; 0 = no steps", unit="px", minimum=0.0, maximum=8.0
+    )
+    baseline: float = setting(
+        0.075, "Between the camera and its projector: disparity = fx baseline / z", unit="m", minimum=1e-3, maximum=2.0
+    )
+    range_min: float = setting(0.1, "Nearer surfaces give no depth", unit="m", minimum=0.0, maximum=10.0)
+    range_max: float = setting(10.0, "Farther surfaces give no depth", unit="m", minimum=0.1, maximum=1000.0)
+    hole_angle_deg: float = setting(
+        90.0,
+        "Surfaces seen under a larger angle from their normal give no depth; 90 = all do",
+        unit="deg",
+        minimum=1.0,
+        maximum=90.0,
+    )
+    hole_fraction: float = setting(0.0, "Part of all pixels that give no depth, at random", minimum=0.0, maximum=1.0)
+    edge_px: int = setting(0, "Depth is lost this near to an edge, in patches; 0 = not", unit="px", minimum=0, maximum=50)
+    flying_fraction: float = setting(
+        0.0, "Part of the pixels at an edge whose depth is of neither side", minimum=0.0, maximum=1.0
+    )
+    dark_fraction: float = setting(
+        0.0, "Part of the depth that is lost on black surfaces; none is lost on grey ones", minimum=0.0, maximum=1.0
+    )
+    shiny_fraction: float = setting(0.0, "Part of the depth that is lost on surfaces of shiny_classes", minimum=0.0, maximum=1.0)
+    shiny_classes: str = setting(
+        "mirror,window,glass,tv,screen", "Semantic classes whose name holds one of these words are shiny"
+    )
+    pose_noise_m: float = setting(0.0, "Standard deviation of the position, along each axis", unit="m", minimum=0.0, maximum=1.0)
+    pose_noise_deg: float = setting(
+        0.0, "Standard deviation of the orientation, about each axis", unit="deg", minimum=0.0, maximum=30.0
+    )
+    drift_m: float = setting(
+        0.0, "Drift of the position after a metre of way; it grows with the root of the way", unit="m", minimum=0.0, maximum=1.0
+    )
+    drift_deg: float = setting(0.0, "Drift of the heading after a metre of way", unit="deg", minimum=0.0, maximum=30.0)
+    exposure_jitter_ev: float = setting(
+        0.0, "Standard deviation of the exposure from view to view", unit="EV", minimum=0.0, maximum=4.0
+    )
+    white_balance_jitter: float = setting(
+        0.0, "Standard deviation of the white balance, as a part of 6500 K", minimum=0.0, maximum=0.3
+    )
+    vignette: float = setting(0.0, "Light that is missing in the corners", minimum=0.0, maximum=1.0)
+    shutter_s: float = setting(0.0, "Time that the shutter is open: motion blur", unit="s", minimum=0.0, maximum=1.0)
+    shot_noise: float = setting(
+        0.0, "Sensor noise that grows with the root of the light, at full white", minimum=0.0, maximum=1.0
+    )
+    read_noise: float = setting(0.0, "Sensor noise that is always there", minimum=0.0, maximum=1.0)
+    jpeg_quality: int = setting(95, "Of the colour images", minimum=10, maximum=100)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if self.range_max <= self.range_min:
+            raise ConfigError(f"setting 'range_max' is {self.range_max:g} m, must be above range_min, {self.range_min:g} m")
+
+
+@dataclass(frozen=True, slots=True)
+class FuseSettings:
+    """How posed RGB-D becomes a mesh."""
+
+    voxel: float = setting(0.01, "Edge of a voxel: the size of the smallest triangles", unit="m", minimum=0.001, maximum=0.5)
+    truncation: float = setting(4.0, "Voxels before and behind a surface that an image counts for", minimum=1.0, maximum=32.0)
+    depth_max: float = setting(4.0, "Farther depths are left out: far ones are noisy", unit="m", minimum=0.1, maximum=1000.0)
+    stride: int = setting(1, "Take every so many frames", minimum=1, maximum=10_000)
+    min_weight: float = setting(2.0, "Voxels that fewer images have seen become holes", minimum=0.0, maximum=100.0)
+    min_part: float = setting(
+        0.02, "Connected parts with a smaller area are left out; 0 = none", unit="m^2", minimum=0.0, maximum=1000.0
+    )
+    triangles: int = setting(0, "Simplify to so many triangles; 0 = keep all", minimum=0, maximum=100_000_000)
+    level: bool = setting(False, "Turn the mesh so that z is up and the floor is at z = 0, for scans that begin at a camera")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "clean": {},
+    "kinect": {
+        "depth_quadratic": 0.0019, "depth_constant": 0.0008, "disparity_step_px": 0.125, "range_min": 0.5, "range_max": 4.5,
+        "hole_angle_deg": 78.0, "hole_fraction": 0.002, "edge_px": 4, "flying_fraction": 0.15, "dark_fraction": 0.6,
+        "shiny_fraction": 0.9, "pose_noise_m": 0.002, "pose_noise_deg": 0.15, "drift_m": 0.002, "drift_deg": 0.05,
+        "exposure_jitter_ev": 0.12, "white_balance_jitter": 0.04, "vignette": 0.25, "shutter_s": 1.0 / 120.0,
+        "shot_noise": 0.02, "read_noise": 0.006, "jpeg_quality": 90,
+        "pitches_deg": "-30,10", "wobble_deg": 1.5, "samples": 1,
+    },
+    "phone": {
+        "depth_linear": 0.004, "depth_quadratic": 0.001, "range_min": 0.25, "range_max": 5.0, "hole_angle_deg": 82.0, "edge_px": 2,
+        "flying_fraction": 0.5, "dark_fraction": 0.3, "shiny_fraction": 0.7, "pose_noise_m": 0.003, "pose_noise_deg": 0.25,
+        "drift_m": 0.006, "drift_deg": 0.12, "exposure_jitter_ev": 0.3, "white_balance_jitter": 0.08, "vignette": 0.15,
+        "shutter_s": 1.0 / 50.0, "shot_noise": 0.03, "read_noise": 0.008, "jpeg_quality": 88,
+        "pitches_deg": "-28,12", "wobble_deg": 3.0, "fov_y_deg": 55.0, "turn_deg": 24.0, "samples": 1,
+    },
+}  # fmt: skip
+"""Name -> settings that differ from the defaults. ``clean``: three cameras on a tripod that see everything as it is, to 10 m."""

@@ -1,0 +1,213 @@
+"""Finds the flat floors of a scan and lays boxes with level tops where its bumpy triangles are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from gibson_sim.scenes.collision.triangles import areas_of, components
+from gibson_sim.scenes.rasterise import Grid, unit_normals
+
+Bools = NDArray[np.bool_]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+SMALLEST_AREA = 1.5
+"""Square metres: a smaller level patch keeps its triangles. Treads of stairs are smaller."""
+LARGEST_BAND = 0.025
+"""Triangles that lie no farther than this from the height of a floor may become part of it, metres."""
+SMALLEST_BAND = 0.005
+THICKNESS = 0.1
+"""Of the boxes, metres, downwards."""
+_CELL = 0.025
+_BIN = 0.005
+_UP = 0.7
+"""Least upward part of the normal of a floor's triangles: noise tilts small triangles."""
+_SIGMAS = 3.0
+_BUMPIEST = 0.012
+"""Metres, standard deviation: what is rougher is a slope or a cushion."""
+_SPECK, _LARGE_SPECK = 0.02, 0.1
+"""Square metres: what is smaller, lies about the floor and hangs together with nothing else is noise; if it is larger than the first,
+only if few of its corners are off the floor."""
+_FEW = 0.3
+_SMALLEST_BOX = 9
+"""Cells along each edge of a box."""
+
+
+@dataclass(frozen=True, slots=True)
+class Slab:
+    """A box with a level top, along the axes of the world, metres."""
+
+    low: tuple[float, float]
+    """Smallest x, y."""
+    high: tuple[float, float]
+    top: float
+    """Height of its upper face."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flattened:
+    """A mesh whose floors are slabs."""
+
+    slabs: tuple[Slab, ...]
+    """The inner parts of all floors."""
+    vertices: F64
+    """(V, 3), metres: as given, but for those of floors."""
+    triangles: I64
+    """(F, 3): without those that the slabs replace."""
+    flat: Bools
+    """(V,): vertices that were moved to the height of a floor."""
+
+
+def flatten_floors(vertices: F64, triangles: I64) -> Flattened:
+    """Returns the mesh with slabs in place of the inner parts of its floors.
+
+    Triangles at the rim of a floor stay, with their corners at its height, so that walls and floor hang together. Thresholds, steps
+    and stairs stay as they are.
+
+    Args:
+        vertices: (V, 3), welded, world frame, metres.
+        triangles: (F, 3), facing out of the solid: up, on floors.
+    """
+    vertices = vertices.copy()
+    keep = np.ones(len(triangles), dtype=bool)
+    flat = np.zeros(len(vertices), dtype=bool)
+    slabs: list[Slab] = []
+    for height, band, region in _levels(vertices, triangles):
+        floor = keep & region & (np.abs(vertices[triangles, 2] - height) <= band).all(axis=1)
+        floor |= keep & _specks(vertices, triangles, keep & ~floor, height, band)
+        at_height = np.unique(triangles[floor])
+        grid = Grid.around(vertices[at_height, :2], _CELL)
+        mask = grid.cover(vertices[triangles[floor]][:, :, :2])
+        mask = np.asarray(ndimage.binary_closing(np.pad(mask, 2), np.ones((3, 3)))[2:-2, 2:-2])
+        boxes, covered = _rectangles(np.asarray(ndimage.binary_erosion(mask, np.ones((3, 3)))))
+        slabs += [_slab(grid, box, height) for box in boxes]
+        vertices[at_height, 2] = height
+        flat[at_height] = True
+        replaced = floor & _inside(vertices[triangles][:, :, :2], covered, grid)
+        keep &= ~replaced
+    return Flattened(tuple(slabs), vertices, triangles[keep], flat)
+
+
+def _levels(vertices: F64, triangles: I64) -> list[tuple[float, float, Bools]]:
+    """Returns height, half thickness (metres) and triangles (F,) that may belong to it of each level patch, the largest first."""
+    corners = vertices[triangles]
+    up = np.flatnonzero(unit_normals(corners)[:, 2] > _UP)
+    parts = components(triangles[up], len(vertices))
+    areas, z = areas_of(corners[up]), corners[up][:, :, 2].mean(axis=1)
+    found = []
+    totals = np.bincount(parts, weights=areas) if len(parts) else np.zeros(0)
+    for part in np.flatnonzero(totals >= SMALLEST_AREA):
+        members = np.flatnonzero(parts == part)
+        while areas[members].sum() >= SMALLEST_AREA:
+            height, spread = _peak(z[members], areas[members])
+            if spread > _BUMPIEST:
+                break
+            band = float(np.clip(_SIGMAS * spread, SMALLEST_BAND, LARGEST_BAND))
+            near = np.abs(z[members] - height) <= band
+            area = float(areas[members][near].sum())
+            if area < SMALLEST_AREA:
+                break
+            region = np.zeros(len(triangles), dtype=bool)
+            region[up[members[near]]] = True
+            found.append((area, height, band, region))
+            # A second level of the same patch must be another one, and not the slope beside this one.
+            members = members[np.abs(z[members] - height) > 2 * LARGEST_BAND]
+    return [(height, band, region) for _, height, band, region in sorted(found, key=lambda level: -level[0])]
+
+
+def _peak(z: F64, areas: F64) -> tuple[float, float]:
+    """Returns the height at which most area lies, and the standard deviation of heights about it, metres."""
+    bins = np.floor((z - z.min()) / _BIN).astype(np.int64)
+    width = round(2 * LARGEST_BAND / _BIN)
+    sums = np.convolve(np.bincount(bins, weights=areas), np.ones(width), mode="same")
+    middle = float(z.min() + (int(sums.argmax()) + 0.5) * _BIN)
+    near = np.abs(z - middle) <= LARGEST_BAND
+    values, weights = z[near], areas[near]
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    height = float(values[order][int(np.searchsorted(total, 0.5 * total[-1]))])
+    away = np.sort(np.abs(values - height))
+    # The median of the distances is 0.6745 standard deviations, however far off a few of them are.
+    return height, float(away[len(away) // 2]) / 0.6745
+
+
+def _specks(vertices: F64, triangles: I64, others: Bools, height: float, band: float) -> Bools:
+    """Returns (F,): small parts of ``others`` (F,) about a height that hang together with nothing else: bumps of a noisy floor."""
+    rows = np.flatnonzero(others)
+    out = np.zeros(len(triangles), dtype=bool)
+    if not len(rows):
+        return out
+    parts = components(triangles[rows], len(vertices))
+    corners = vertices[triangles[rows]]
+    off = np.abs(corners[:, :, 2] - height)
+    count = int(parts.max()) + 1
+    area = np.bincount(parts, weights=areas_of(corners), minlength=count)
+    farthest = np.zeros(count)
+    np.maximum.at(farthest, parts, off.max(axis=1))
+    vertex, first = np.unique(triangles[rows], return_index=True)
+    part_of = parts[first // 3]
+    off_floor = np.bincount(part_of, weights=np.abs(vertices[vertex, 2] - height) > band, minlength=count)
+    share = off_floor / np.maximum(np.bincount(part_of, minlength=count), 1)
+    is_speck = (farthest <= LARGEST_BAND) & ((area < _SPECK) | ((area < _LARGE_SPECK) & (share < _FEW)))
+    out[rows[is_speck[parts]]] = True
+    return out
+
+
+def _rectangles(mask: Bools) -> tuple[list[tuple[int, int, int, int]], Bools]:
+    """Returns rectangles (first row, first column, last row + 1, last column + 1) in a mask, and the cells in them.
+
+    The largest square that is left grows to all sides as far as the mask goes. They do not overlap: what lies on two boxes costs twice.
+    """
+    left = mask.copy()
+    boxes: list[tuple[int, int, int, int]] = []
+    while left.any():
+        # To the nearest cell that is not left, along rows, columns or diagonals; the border is not left either.
+        away = np.asarray(cv2.distanceTransform(np.pad(left.astype(np.uint8), 1), cv2.DIST_C, 3))[1:-1, 1:-1]
+        row, column = np.unravel_index(int(away.argmax()), mask.shape)
+        reach = int(away[row, column]) - 1
+        if 2 * reach + 1 < _SMALLEST_BOX:
+            break
+        box = _grown((int(row) - reach, int(column) - reach, int(row) + reach + 1, int(column) + reach + 1), left)
+        boxes.append(box)
+        left[box[0] : box[2], box[1] : box[3]] = False
+    return boxes, np.asarray(mask & ~left)
+
+
+def _grown(box: tuple[int, int, int, int], mask: Bools) -> tuple[int, int, int, int]:
+    """Returns a rectangle of cells that are all in the mask, grown side by side, each as far as that stays true."""
+    top, left, bottom, right = box
+    above = np.asarray(mask[:top, left:right].all(axis=1))[::-1]
+    top -= int(np.append(above, False).argmin())
+    below = mask[bottom:, left:right].all(axis=1)
+    bottom += int(np.append(below, False).argmin())
+    before = np.asarray(mask[top:bottom, :left].all(axis=0))[::-1]
+    left -= int(np.append(before, False).argmin())
+    behind = mask[top:bottom, right:].all(axis=0)
+    right += int(np.append(behind, False).argmin())
+    return top, left, bottom, right
+
+
+def _slab(grid: Grid, box: tuple[int, int, int, int], height: float) -> Slab:
+    top, left, bottom, right = box
+    x, y = grid.origin
+    step = grid.resolution
+    return Slab((x + left * step, y + top * step), (x + right * step, y + bottom * step), height)
+
+
+def _inside(corners: F64, covered: Bools, grid: Grid) -> Bools:
+    """Returns (F,): triangles (F, 3, 2) that lie in covered cells, seen from above."""
+    low, high = (
+        np.floor((f(corners, axis=1) - np.asarray(grid.origin)) / grid.resolution).astype(np.int64) for f in (np.min, np.max)
+    )
+    rows, columns = grid.shape
+    sums = np.pad(np.cumsum(np.cumsum(covered, axis=0, dtype=np.int64), axis=1), ((1, 0), (1, 0)))
+    within = (low >= 0).all(axis=1) & (high[:, 0] < columns) & (high[:, 1] < rows)
+    low, high = np.where(within[:, None], low, 0), np.where(within[:, None], high, 0)
+    (left, top), (right, bottom) = low.T, high.T + 1
+    inside = sums[bottom, right] - sums[top, right] - sums[bottom, left] + sums[top, left]
+    return np.asarray(within & (inside == (right - left) * (bottom - top)))

@@ -1,0 +1,118 @@
+"""Makes what robots bump into of a scan: boxes with level tops for its floors, and as few triangles as its shape needs for the rest."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from gibson_sim.errors import MeshError
+from gibson_sim.scenes.collision.planes import Flattened, Slab, flatten_floors
+from gibson_sim.scenes.collision.triangles import distances, sample, simplify, smooth, weld
+
+_log = logging.getLogger(__name__)
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+MAX_ERROR = 0.03
+"""No sample point of the scan lies farther than this from what replaces it, nor the other way round, metres."""
+_SAMPLES = 40_000
+_TRIES = 7
+_AROUND = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimplifiedScan:
+    """What stands for a scan in physics, world frame, metres."""
+
+    slabs: tuple[Slab, ...]
+    """Boxes with level tops, ``planes.THICKNESS`` high: the floors."""
+    vertices: F64 = field(repr=False)
+    """(V, 3): of everything else."""
+    triangles: I64 = field(repr=False)
+    """(F, 3)."""
+    error: float
+    """The greatest distance of sample points of either from the other, metres."""
+    before: int
+    """Triangles of the scan."""
+
+    def __str__(self) -> str:
+        levels = sorted({round(slab.top, 3) for slab in self.slabs})
+        floors = f"floors at {', '.join(f'{z:g}' for z in levels)} m of {len(self.slabs)} boxes" if levels else "no level floor"
+        return f"{len(self.triangles)} triangles for {self.before}, {floors}, within {self.error * 1000:.0f} mm"
+
+
+def simplify_scan(vertices: ArrayLike, triangles: ArrayLike, max_error: float = MAX_ERROR) -> SimplifiedScan:
+    """Returns boxes and triangles that lie within ``max_error`` (metres) of a scan, at sample points.
+
+    Args:
+        vertices: (V, 3), world frame, metres, z up.
+        triangles: (F, 3).
+        max_error: metres.
+
+    Raises:
+        MeshError: there are no triangles, or meshoptimizer is not installed.
+    """
+    points, corners = weld(vertices, triangles)
+    if not len(corners):
+        raise MeshError("the scan has no triangles with an area and finite corners; there is nothing to simplify")
+    as_it_is = Flattened((), points, corners, np.zeros(len(points), dtype=bool))
+    for flattened in (flatten_floors(points, corners), as_it_is):
+        simplified = _simplified(points[corners], flattened, max_error)
+        if simplified is not None:
+            return simplified
+    _log.warning("no simpler mesh lies within %g m of the scan: it is bumped into as it is", max_error)
+    return SimplifiedScan((), points, corners, 0.0, len(corners))
+
+
+def _simplified(scan: F64, flattened: Flattened, max_error: float) -> SimplifiedScan | None:
+    """Returns what stands for a scan (F, 3, 3) with these floors; None if it cannot be made close enough."""
+    measure = _Measure(scan, _tops(flattened.slabs), max_error)
+    rest, flat = flattened.triangles, flattened.flat
+    if measure.check(flattened.vertices, rest)[0] >= max_error:
+        return None
+    smoothed = smooth(flattened.vertices, rest, flat, max_error / 3)
+    fixed = np.zeros(len(smoothed), dtype=bool)
+    for attempt in range(_TRIES):
+        mesh = simplify(smoothed, rest, max_error / 2 ** (1 + attempt // 3), fixed)
+        error, bad = measure.check(*mesh)
+        if error < max_error:
+            return SimplifiedScan(flattened.slabs, *mesh, error, len(scan))
+        # Where it came out wrong, and a little around, nothing may change in the next attempt.
+        fixed |= cKDTree(bad).query(smoothed, distance_upper_bound=_AROUND)[0] <= _AROUND
+    return None
+
+
+class _Measure:
+    """Measures how far meshes are from a scan.
+
+    Args:
+        scan: (F, 3, 3), triangles, metres.
+        tops: (N, 3, 3), triangles that belong to every mesh.
+        max_error: metres.
+    """
+
+    def __init__(self, scan: F64, tops: F64, max_error: float) -> None:
+        self._scan, self._tops, self._max_error = scan, tops, max_error
+        self._points = sample(scan, _SAMPLES, np.random.default_rng(0))[0]
+
+    def check(self, vertices: F64, triangles: I64) -> tuple[float, F64]:
+        """Returns the greatest distance of sample points, both ways, and the points (N, 3) of which it is too large."""
+        rng = np.random.default_rng(1)
+        mesh = np.concatenate([vertices[triangles], self._tops])
+        points = np.concatenate([self._points, sample(mesh, _SAMPLES, rng)[0]])
+        there = distances(self._points, mesh, rng)
+        away = np.concatenate([there, distances(points[len(there) :], self._scan, rng)])
+        return float(away.max(initial=0.0)), points[away >= self._max_error]
+
+
+def _tops(slabs: tuple[Slab, ...]) -> F64:
+    """Returns the upper faces of slabs as triangles (2 N, 3, 3)."""
+    out = []
+    for slab in slabs:
+        (x, y), (X, Y), z = slab.low, slab.high, slab.top
+        out += [[[x, y, z], [X, y, z], [X, Y, z]], [[x, y, z], [X, Y, z], [x, Y, z]]]
+    return np.array(out, dtype=np.float64).reshape(-1, 3, 3)

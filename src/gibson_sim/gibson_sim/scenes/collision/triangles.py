@@ -1,0 +1,183 @@
+"""Welding, sampling and measuring triangle meshes, and simplifying them with meshoptimizer. Knows no file format."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
+from scipy.spatial import cKDTree
+
+from gibson_sim.errors import MeshError
+
+Bools = NDArray[np.bool_]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+_ERROR_IN_METRES = 4
+"""meshopt_SimplifyErrorAbsolute."""
+_PRUNE = 8
+"""meshopt_SimplifyPrune: specks smaller than the error go."""
+_ROUNDS = 10
+_NEAREST = (4, 64)
+_DOUBTFUL = 0.015
+"""Metres: points that seem farther off are compared with more triangles."""
+_AT_ONCE = 20_000
+
+
+def weld(vertices: ArrayLike, triangles: ArrayLike) -> tuple[F64, I64]:
+    """Returns the mesh (V, 3), (F, 3) with one vertex where several lay at the same place, and without degenerate triangles."""
+    points = np.ascontiguousarray(np.asarray(vertices, dtype=np.float32).reshape(-1, 3) + np.float32(0.0))
+    corners = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
+    corners = corners[np.isfinite(points[corners]).all(axis=(1, 2))]
+    rows = points.view(np.dtype((np.void, points.dtype.itemsize * 3))).ravel()
+    _, first, which = np.unique(rows, return_index=True, return_inverse=True)
+    corners = which.reshape(-1)[corners]
+    distinct = (corners != np.roll(corners, 1, axis=1)).all(axis=1)
+    return compact(points[first].astype(np.float64), corners[distinct])
+
+
+def compact(vertices: F64, triangles: I64) -> tuple[F64, I64]:
+    """Returns the mesh without the vertices that no triangle uses."""
+    used, corners = np.unique(triangles, return_inverse=True)
+    return vertices[used], corners.reshape(-1, 3).astype(np.int64)
+
+
+def areas_of(corners: F64) -> F64:
+    """Returns the areas (F,) of triangles (F, 3, 3), square metres."""
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(np.linalg.norm(across, axis=1) / 2)
+
+
+def components(triangles: I64, vertex_count: int) -> I64:
+    """Returns (F,): the number of the connected part of each triangle; parts that share a vertex are one."""
+    if not len(triangles):
+        return np.zeros(0, dtype=np.int64)
+    ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
+    graph = sparse.coo_matrix((np.ones(len(ends), dtype=bool), tuple(ends.T)), shape=(vertex_count, vertex_count))
+    return np.asarray(csgraph.connected_components(graph, directed=False)[1][triangles[:, 0]], dtype=np.int64)
+
+
+def sample(corners: F64, count: int, rng: np.random.Generator) -> tuple[F64, I64]:
+    """Returns ``count`` points (N, 3), evenly spread over triangles (F, 3, 3), and the triangle of each, (N,)."""
+    areas = areas_of(corners)
+    if not areas.sum() > 0:
+        return np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+    which = np.asarray(rng.choice(len(corners), size=count, p=areas / areas.sum()), dtype=np.int64)
+    root, v = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
+    a, b, c = (corners[which, k] for k in range(3))
+    return np.asarray((1 - root) * a + root * (1 - v) * b + root * v * c), which
+
+
+def distances(points: F64, corners: F64, rng: np.random.Generator, density: float = 1_000.0) -> F64:
+    """Returns metres from points (N, 3) to triangles (F, 3, 3), (N,); never too small, and exact for nearly all points.
+
+    Each point is compared with the triangles of the nearest of ``density`` sample points for each square metre.
+    """
+    if not len(corners):
+        return np.full(len(points), np.inf)
+    count = int(np.clip(areas_of(corners).sum() * density, 10_000, 300_000))
+    around, owner = sample(corners, count, rng)
+    # Triangles too small to be sampled count too.
+    around = np.concatenate([around, corners.mean(axis=1)])
+    owner = np.concatenate([owner, np.arange(len(corners))])
+    tree = cKDTree(around)
+    out = np.full(len(points), np.inf)
+    doubtful = np.arange(len(points))
+    for count in _NEAREST:
+        for start in range(0, len(doubtful), _AT_ONCE):
+            part = doubtful[start : start + _AT_ONCE]
+            _, near = tree.query(points[part], k=count)
+            for k in range(count):
+                out[part] = np.minimum(out[part], _to_triangle(points[part], corners[owner[near[:, k]]]))
+        doubtful = np.flatnonzero(out > _DOUBTFUL)
+    return out
+
+
+def smooth(vertices: F64, triangles: I64, fixed: Bools, farthest: float) -> F64:
+    """Returns the vertices (V, 3) with the noise of a scan taken out, each moved by at most ``farthest`` metres.
+
+    Smoothing back and forth keeps the size of things: Taubin, "A signal processing approach to fair surface design", SIGGRAPH 1995.
+
+    Args:
+        vertices: (V, 3), welded.
+        triangles: (F, 3).
+        fixed: (V,), vertices that stay.
+        farthest: metres.
+    """
+    ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    ones = np.ones(len(ends))
+    beside = sparse.coo_matrix((ones, (ends[:, 0], ends[:, 1])), shape=(len(vertices), len(vertices))).tocsr()
+    beside = beside + beside.T
+    weights = np.asarray(beside.sum(axis=1)).ravel()
+    moving = (~fixed & (weights > 0))[:, None]
+    mean = sparse.diags(1.0 / np.maximum(weights, 1.0)) @ beside
+    out = vertices
+    for factor in (0.5, -0.53) * _ROUNDS:
+        out = np.where(moving, out + factor * (mean @ out - out), out)
+    away = out - vertices
+    length = np.linalg.norm(away, axis=1, keepdims=True)
+    return np.asarray(vertices + away * np.minimum(1.0, farthest / np.maximum(length, 1e-12)))
+
+
+def simplify(vertices: F64, triangles: I64, error: float, fixed: Bools) -> tuple[F64, I64]:
+    """Returns a mesh with fewer triangles that lies within about ``error`` (metres) of the given one, whose corners are some of its.
+
+    Args:
+        vertices: (V, 3), welded.
+        triangles: (F, 3).
+        error: metres; meshoptimizer's measure is a mean over the planes that met, so measure what came out.
+        fixed: (V,), vertices that must stay.
+
+    Raises:
+        MeshError: meshoptimizer is not installed.
+    """
+    if not len(triangles):
+        return vertices, triangles
+    points = np.ascontiguousarray(vertices, dtype=np.float32)
+    indices = np.ascontiguousarray(triangles, dtype=np.uint32)
+    locks = np.ascontiguousarray(fixed, dtype=np.uint8)
+    out = np.empty(indices.size, dtype=np.uint32)
+    reached = ctypes.c_float()
+    count = _simplifier()(
+        out.ctypes.data, indices.ctypes.data, indices.size, points.ctypes.data, len(points), 12, None, 0, None, 0,
+        locks.ctypes.data, 0, error, _ERROR_IN_METRES | _PRUNE, ctypes.byref(reached),
+    )  # fmt: skip
+    return compact(vertices, out[:count].astype(np.int64).reshape(-1, 3))
+
+
+def _simplifier() -> Callable[..., int]:
+    try:
+        from meshoptimizer.simplifier import lib
+    except ImportError as error:
+        raise MeshError(
+            f"scans are simplified with meshoptimizer, which cannot be loaded ({error}); pip install meshoptimizer"
+        ) from error
+    # The package's own wrapper declares no types, so sizes beyond the sixth argument arrive with garbage in their upper half.
+    size, pointer = ctypes.c_size_t, ctypes.c_void_p
+    function: Callable[..., int] = ctypes.CFUNCTYPE(
+        size, pointer, pointer, size, pointer, size, size, pointer, size, pointer, size, pointer, size, ctypes.c_float,
+        ctypes.c_uint, pointer,
+    )(("meshopt_simplifyWithAttributes", lib))  # fmt: skip
+    return function
+
+
+def _to_triangle(points: F64, corners: F64) -> F64:
+    """Returns metres from points (N, 3) to one triangle each, (N, 3, 3)."""
+    a, b, c = (corners[:, k] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    square = np.einsum("ij,ij->i", normal, normal)
+    height = np.einsum("ij,ij->i", points - a, normal)
+    inside = square > 0
+    out = np.full(len(points), np.inf)
+    for start, end in ((a, b), (b, c), (c, a)):
+        edge = end - start
+        inside &= np.einsum("ij,ij->i", np.cross(edge, points - start), normal) >= 0
+        along = np.einsum("ij,ij->i", points - start, edge) / np.maximum(np.einsum("ij,ij->i", edge, edge), 1e-30)
+        nearest = start + np.clip(along, 0.0, 1.0)[:, None] * edge
+        out = np.minimum(out, np.linalg.norm(points - nearest, axis=1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.where(inside, np.abs(height) / np.sqrt(square), out))

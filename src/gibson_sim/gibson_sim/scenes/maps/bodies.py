@@ -1,0 +1,72 @@
+"""What the movable things of a scene take up where they stand at load."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, transform_points
+from gibson_sim.robots.body import BodySpec
+from gibson_sim.robots.spec import Shape
+from gibson_sim.robots.urdf import UrdfJoint
+from gibson_sim.scenes.mesh import MeshLoader
+from gibson_sim.scenes.mesh_types import merge
+from gibson_sim.scenes.spec import SceneSpec
+
+F64 = NDArray[np.float64]
+Triangles = tuple[F64, NDArray[np.int32]]
+
+
+def body_triangles(scene: SceneSpec) -> Triangles:
+    """Returns vertices (V, 3), world frame, metres, and triangles (F, 3) of the collision shapes of all bodies; meshes as their hulls."""
+    shapes = [c.shape for body in scene.bodies for link in body.model.links for c in link.collisions]
+    # Whoever loaded the bodies has checked each path already.
+    loader = MeshLoader(sorted({Path(shape.mesh).parent for shape in shapes if shape.kind == "mesh"}), textures=False)
+    known: dict[Shape, Triangles] = {}
+    parts: list[Triangles] = []
+    for body in scene.bodies:
+        places = link_transforms(body)
+        for link in body.model.links:
+            for collision in link.collisions:
+                if collision.shape not in known:
+                    known[collision.shape] = _solid(loader, collision.shape)
+                vertices, triangles = known[collision.shape]
+                parts.append((transform_points(places[link.name] @ matrix_from_pose(collision.pose), vertices), triangles))
+    return merge(parts)
+
+
+def link_transforms(body: BodySpec) -> dict[str, Mat4]:
+    """Returns T_world_link, (4, 4), of every link of a body at load."""
+    positions = dict(body.joints)
+    by_child = {joint.child: joint for joint in body.model.joints}
+    out = {body.model.root: matrix_from_pose(body.start)}
+    for link in body.model.links[1:]:
+        joint = by_child[link.name]
+        out[link.name] = out[joint.parent] @ matrix_from_pose(joint.pose) @ _moved(joint, positions.get(joint.name, 0.0))
+    return out
+
+
+def _moved(joint: UrdfJoint, position: float) -> Mat4:
+    """Returns the motion (4, 4) of a joint's child at a position, radians or metres."""
+    out = np.eye(4)
+    axis = np.asarray(joint.axis, dtype=np.float64)
+    if joint.kind == "prismatic":
+        out[:3, 3] = axis * position
+    elif position:
+        across = np.cross(np.eye(3), axis)
+        out[:3, :3] += math.sin(position) * -across + (1.0 - math.cos(position)) * across @ across
+    return out
+
+
+def _solid(loader: MeshLoader, shape: Shape) -> Triangles:
+    vertices, triangles = loader.shape(shape).merged()
+    if shape.kind != "mesh":
+        return vertices, triangles
+    try:
+        return vertices, np.asarray(ConvexHull(vertices).simplices, dtype=np.int32)
+    except (QhullError, ValueError):  # flat, or hardly any corners
+        return vertices, triangles

@@ -1,0 +1,121 @@
+"""Triangles seen from above: which cells of a grid they touch. Cells are square, (row, column) along (y, x)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Bools = NDArray[np.bool_]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+ROUNDING = 1e-6
+"""Cells: what is nearer than this to a border lies on it."""
+_PAIRS_AT_ONCE = 200_000
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """A grid of square cells in the world frame."""
+
+    resolution: float
+    """Edge of a cell, metres."""
+    origin: tuple[float, float]
+    """World x, y of the lower left corner of cell [0, 0], metres."""
+    shape: tuple[int, int]
+    """Rows (along y), columns (along x)."""
+
+    @staticmethod
+    def around(points: ArrayLike, resolution: float) -> Grid:
+        """Returns the grid about points (N, 2), with one cell of rim so that outdoors is connected.
+
+        Its borders are whole multiples of the cell, so that grids of one scene line up.
+        """
+        box = np.asarray(points, dtype=np.float64)
+        first = np.floor(box.min(axis=0) / resolution + ROUNDING) - 1
+        width, height = (int(n) for n in np.ceil(box.max(axis=0) / resolution - ROUNDING) - first + 1)
+        return Grid(resolution, (float(first[0] * resolution), float(first[1] * resolution)), (height, width))
+
+    def cover(self, polygons: F64) -> Bools:
+        """Returns (H, W): every cell that a convex polygon (P, K, 2), world metres, shares more than its rim with."""
+        return rasterise((polygons - np.asarray(self.origin)) / self.resolution, self.shape)
+
+
+def unit_normals(corners: F64) -> F64:
+    """Returns the normals, (F, 3), of triangles (F, 3, 3); 0 of those without an area."""
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), math.ulp(1e-30)))
+
+
+def clip_to_slab(corners: F64, low: float, high: float) -> F64:
+    """Returns the parts of triangles (F, 3, 3) between two heights, seen from above: closed polygons (F, 9, 2), corners repeated."""
+    if not len(corners):
+        return np.zeros((0, 9, 2))
+    slots, valid = [], []
+    for i in range(3):
+        a, b = corners[:, i], corners[:, (i + 1) % 3]
+        za, zb = a[:, 2], b[:, 2]
+        slots.append(a[:, :2])
+        valid.append((za >= low) & (za <= high))
+        # In the order in which the edge passes them.
+        up = (zb > za)[:, None]
+        near, far = np.where(up[:, 0], low, high), np.where(up[:, 0], high, low)
+        for z in (near, far):
+            with np.errstate(divide="ignore", invalid="ignore"):
+                t = (z - za) / (zb - za)
+            crosses = (za != zb) & (t > 0) & (t < 1)
+            slots.append(a[:, :2] + np.where(crosses, t, 0.0)[:, None] * (b - a)[:, :2])
+            valid.append(crosses)
+    points, used = np.stack(slots, axis=1), np.stack(valid, axis=1)
+    # An unused slot repeats the one used before it (cyclically), which adds an edge of length 0.
+    order = np.where(used, np.arange(9), -1)
+    before = np.maximum.accumulate(order, axis=1)
+    before = np.where(before < 0, order.max(axis=1, keepdims=True), before)
+    return np.asarray(np.take_along_axis(points, np.maximum(before, 0)[:, :, None], axis=1)[used.any(axis=1)])
+
+
+def rasterise(polygons: F64, shape: tuple[int, int]) -> Bools:
+    """Returns (H, W): every cell that a convex polygon (P, K, 2), in cells, shares more than its rim with."""
+    grid = np.zeros((shape[0], shape[1] + 1), dtype=np.int32)
+    if not len(polygons):
+        return np.zeros(shape, dtype=bool)
+    first, last = _cell_range(polygons[:, :, 1].min(axis=1), polygons[:, :, 1].max(axis=1), shape[0])
+    counts = np.maximum(last - first + 1, 0)
+    ends = np.cumsum(counts)
+    for start in range(0, int(ends[-1]), _PAIRS_AT_ONCE):
+        pairs = np.arange(start, min(start + _PAIRS_AT_ONCE, int(ends[-1])))
+        which = np.searchsorted(ends, pairs, side="right")
+        rows = first[which] + pairs - (ends[which] - counts[which])
+        left, right = _extent_in_band(polygons[which], rows.astype(np.float64))
+        a, b = _cell_range(left, right, shape[1])
+        np.add.at(grid, (rows, a), 1)
+        np.add.at(grid, (rows, np.maximum(b + 1, a)), -1)
+    return np.asarray(np.cumsum(grid, axis=1)[:, :-1] > 0)
+
+
+def _cell_range(low: F64, high: F64, size: int) -> tuple[I64, I64]:
+    """Returns the first and last cell of closed intervals; an interval on the border of two cells belongs to the upper one."""
+    first = np.floor(low + ROUNDING).astype(np.int64)
+    last = np.maximum(np.ceil(high - ROUNDING).astype(np.int64) - 1, first)
+    return np.clip(first, 0, size - 1), np.clip(last, 0, size - 1)
+
+
+def _extent_in_band(polygons: F64, rows: F64) -> tuple[F64, F64]:
+    """Returns the smallest and the largest x of convex polygons (P, K, 2) within the bands rows <= y <= rows + 1."""
+    x, y = polygons[:, :, 0], polygons[:, :, 1]
+    bottom, top = rows[:, None], rows[:, None] + 1.0
+    inside = (y >= bottom - ROUNDING) & (y <= top + ROUNDING)
+    left = np.where(inside, x, np.inf).min(axis=1)
+    right = np.where(inside, x, -np.inf).max(axis=1)
+    dx, dy = np.roll(x, -1, axis=1) - x, np.roll(y, -1, axis=1) - y
+    for level in (bottom, top):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            t = (level - y) / dy
+        crosses = (dy != 0) & (t >= 0) & (t <= 1)
+        at = x + np.where(crosses, t, 0.0) * dx
+        left = np.minimum(left, np.where(crosses, at, np.inf).min(axis=1))
+        right = np.maximum(right, np.where(crosses, at, -np.inf).max(axis=1))
+    return left, right

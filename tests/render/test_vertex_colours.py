@@ -1,0 +1,79 @@
+"""Colours of vertices."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gibson_sim.render.batches import Batches, build_batches
+from gibson_sim.render.renderer import Renderer
+from gibson_sim.robots.spec import Look, VisualSpec
+from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart
+from render.drawing import EYE, draw_mesh, facing_quad, loader_of, mesh_visual, scene, state
+from support.surfaces import bumpy_grid
+
+pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
+
+WHITE = Material(base_color=(1.0, 1.0, 1.0, 1.0), unlit=True, colored=True)
+
+
+def colored_quad(colors, material: Material = WHITE) -> Mesh:
+    """Returns a quad that fills the image, with these colours at its corners."""
+    (part,) = facing_quad(1.0, 1.0, material).parts
+    return Mesh((replace(part, uvs=None, colors=np.array(colors, dtype=np.uint8)),))
+
+
+def seen(mesh: Mesh, visual: VisualSpec) -> np.ndarray:
+    with Renderer(scene(visual), loader=loader_of(mesh)) as renderer:
+        return renderer.render(state(), [EYE])[0].rgb[32, 32].astype(int)
+
+
+def drawn(b: Batches, error: float) -> int:
+    """Returns the triangles that are drawn where an error of so many metres is accepted."""
+    fine = np.where(b.chunk_group < 0, True, b.group_error[b.chunk_group] <= error)
+    coarse = np.where(b.chunk_next_group < 0, False, b.group_error[b.chunk_next_group] <= error)
+    return int(b.chunk_count[fine & ~coarse].sum()) // 3
+
+
+def test_a_corner_has_its_colour():
+    one = draw_mesh(colored_quad([(10, 120, 250)] * 4)).rgb
+    np.testing.assert_allclose(one[32, 32], (10, 120, 250), atol=1)
+
+
+def test_colours_are_mixed_in_linear_light_between_corners():
+    (part,) = colored_quad([(0, 0, 0)] * 4).parts
+    colors = np.where(part.vertices[:, 1:2] > part.vertices[:, 1:2].mean(), 255, 0).astype(np.uint8).repeat(3, axis=1)
+    middle = draw_mesh(colored_quad(colors)).rgb[32, 31:33].mean()
+    assert middle == pytest.approx(188, abs=3)  # half of the light
+
+
+def test_the_base_colour_multiplies_them():
+    rgb = draw_mesh(colored_quad([(255, 255, 255)] * 4, replace(WHITE, base_color=(1.0, 0.0, 0.0, 1.0)))).rgb
+    np.testing.assert_allclose(rgb[32, 32], (255, 0, 0), atol=1)
+
+
+def test_a_colour_of_the_visual_replaces_them():
+    quad = colored_quad([(255, 0, 0)] * 4)
+    visual = replace(mesh_visual(), color=(0.0, 1.0, 0.0, 1.0))
+    red, green, _ = seen(quad, visual)
+    assert red == 0 and green > 100
+
+
+def test_a_tint_turns_them():
+    quad = colored_quad([(255, 0, 0)] * 4)
+    visual = replace(mesh_visual(), look=Look(saturation=0.0))
+    rgb = seen(quad, visual)
+    assert np.ptp(rgb) <= 2 and rgb[0] > 0
+
+
+def test_coarser_levels_keep_the_borders_of_colours():
+    part = bumpy_grid(170, height=0.02)
+    colors = np.zeros((len(part.vertices), 3), dtype=np.uint8)
+    colors[part.vertices[:, 0] > np.median(part.vertices[:, 0])] = 255
+    batches = [
+        build_batches([mesh_visual()], (), loader_of(mesh))
+        for mesh in (Mesh((MeshPart(part.vertices, part.normals, None, part.triangles, WHITE, c),)) for c in (colors, 0 * colors))
+    ]
+    assert drawn(batches[0], 0.02) > 2 * drawn(batches[1], 0.02)

@@ -1,0 +1,215 @@
+"""What is wrong with a scene is found, with numbers, and mended where it can be."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from gibson_sim.cli.main import main
+from gibson_sim.importing.check import Report, check_path
+from gibson_sim.importing.faults import find_faults
+from gibson_sim.importing.fix import Fix, fix_scene
+from gibson_sim.importing.gravity import guess_unit, guess_up, rotation_to_z
+from gibson_sim.scenes.mesh import MeshLoader, collision_triangles, scene_roots
+from support.interiors import SIZE, box_faces, room, triangles, turned, write_obj
+from support.surfaces import bumpy_grid
+
+
+def _found(report: Report) -> dict[str, str]:
+    """Returns the level of each kind of finding but those about open rims."""
+    return {f.what: f.level for f in report.findings}
+
+
+def _run(*words: object) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(["scene", *map(str, words)])
+    return int(ended.value.code or 0)
+
+
+# Up and units
+
+
+@pytest.mark.parametrize(("axis", "degrees"), [(0, 3.0), (1, -7.0), (0, 0.7)])
+def test_how_far_a_floor_is_out_of_level_is_measured(axis: int, degrees: float) -> None:
+    corners, quads = room()
+    guess = guess_up(turned(corners, axis, degrees), triangles(quads))
+    assert guess.axis == "z"
+    assert guess.tilt_deg == pytest.approx(abs(degrees), abs=0.01)
+    np.testing.assert_allclose(rotation_to_z(guess.up) @ guess.up, [0, 0, 1], atol=1e-12)
+
+
+def test_noise_of_a_scan_hardly_changes_the_direction() -> None:
+    part = bumpy_grid(100, half=3.0, height=0.02)
+    walls, sides = room(furniture=False)
+    vertices = np.concatenate([part.vertices.astype(float), walls])
+    faces = np.concatenate([part.triangles.astype(np.int64), triangles(sides) + len(part.vertices)])
+    assert guess_up(turned(vertices, 0, 4.0), faces).tilt_deg == pytest.approx(4.0, abs=0.2)
+
+
+@pytest.mark.parametrize(("axis", "degrees", "up"), [(0, -90.0, "y"), (1, 90.0, "x"), (0, 90.0, "y")])
+def test_a_scene_on_its_side_is_seen(axis: int, degrees: float, up: str) -> None:
+    corners, quads = room()
+    guess = guess_up(turned(corners, axis, degrees), triangles(quads))
+    assert guess.axis == up
+    expected = turned(np.array([[0.0, 0.0, 1.0]]), axis, degrees)[0]
+    np.testing.assert_allclose(guess.up, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("size", "unit"),
+    [
+        ((6, 4, 2.5), "m"),
+        ((600, 400, 250), "cm"),
+        ((6000, 4000, 2500), "mm"),
+        ((236, 157, 98), "inch"),
+        ((40, 30, 8), "m"),
+        ((1e-3,) * 3, ""),
+    ],
+)
+def test_units_are_guessed_by_the_size_of_rooms(size: tuple[float, float, float], unit: str) -> None:
+    assert guess_unit(size) == unit
+
+
+# Faces
+
+
+def test_a_room_with_a_box_in_it_has_no_faults() -> None:
+    corners, quads = room()
+    faults = find_faults(corners, triangles(quads))
+    assert (faults.open_edges, faults.crowded_edges, faults.wrong_edges) == (0, 0, 0)
+    assert not faults.inverted.any() and not faults.degenerate.any()
+
+
+def test_a_missing_side_is_one_hole_of_its_length() -> None:
+    corners, quads = box_faces((0, 0, 0), (1, 2, 3))
+    faults = find_faults(corners, triangles(quads[1:]))
+    assert faults.open_edges == 4
+    assert faults.holes == pytest.approx((6.0,))
+
+
+def test_turned_faces_are_found_however_they_are_written() -> None:
+    corners, quads = box_faces((0, 0, 0), (1, 1, 1))
+    faces = triangles(quads)
+    faces[[2, 7]] = faces[[2, 7]][:, ::-1]
+    # Every triangle with corners of its own, as in a file without shared vertices.
+    loose = corners[faces].reshape(-1, 3)
+    faults = find_faults(loose, np.arange(len(loose)).reshape(-1, 3))
+    assert np.flatnonzero(faults.inverted).tolist() == [2, 7]
+    assert faults.wrong_edges == 6
+
+
+def test_a_thing_that_is_inside_out_is_found_and_a_room_is_none() -> None:
+    corners, quads = room()
+    quads[6:] = quads[6:, ::-1]
+    faults = find_faults(corners, triangles(quads))
+    assert faults.inverted.sum() == 12
+    assert faults.inverted[6:12].all() and faults.inverted[18:].all()
+
+
+def test_triangles_without_area_and_edges_of_three_faces_are_counted() -> None:
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, -1, 0], [2, 0, 0]])
+    faces = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4], [0, 1, 5], [0, 0, 1]])
+    faults = find_faults(corners, faces)
+    assert np.flatnonzero(faults.degenerate).tolist() == [3, 4]
+    assert faults.crowded_edges == 1
+
+
+# Whole scenes
+
+
+def _scene(folder: Path, corners: np.ndarray, quads: np.ndarray, more: str = "") -> Path:
+    folder.mkdir(exist_ok=True)
+    write_obj(folder / "room.obj", corners, quads)
+    (folder / "scene.yaml").write_text(f"name: test\n{more}objects: [{{name: room, mesh: room.obj}}]\n")
+    return folder
+
+
+def test_a_good_scene_is_clean_and_the_exit_code_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _run("check", _scene(tmp_path / "a", *room())) == 0
+    assert capsys.readouterr().out == "test: clean\n"
+
+
+def test_what_is_wrong_is_told_with_a_remedy_and_exit_code_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    corners, quads = room()
+    starts = "starts: [{name: bad, xy: [1.5, 1.0]}, {name: good, xy: [0.0, 0.0]}]\nfloor_z: 0.0\n"
+    assert _run("check", _scene(tmp_path / "a", corners, quads, starts), "--json") == 1
+    report = json.loads(capsys.readouterr().out)
+    (finding,) = [f for f in report["findings"] if f["what"] == "start-blocked"]
+    assert "'bad' at 1.50, 1.00 is not free" in finding["text"] and "nearest free place" in finding["text"]
+    assert report["scene"]["size"] == pytest.approx(list(SIZE))
+
+
+def test_a_floor_that_is_not_there_is_told(tmp_path: Path) -> None:
+    assert _found(check_path(_scene(tmp_path / "a", *room(), "floor_z: 1.4\n")))["no-floor"] == "warning"
+
+
+def test_a_floor_that_faces_down_is_told(tmp_path: Path) -> None:
+    corners, quads = room(furniture=False)
+    assert "floor-faces-down" in _found(check_path(_scene(tmp_path / "a", corners, quads[:, ::-1], "floor_z: 0.0\n")))
+
+
+def test_what_cannot_be_read_is_one_error(tmp_path: Path) -> None:
+    corners, quads = room()
+    folder = _scene(tmp_path / "a", corners, quads)
+    (folder / "room.obj").write_text("v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (finding,) = check_path(folder).findings
+    assert finding.level == "error" and "must be finite" in finding.text
+
+
+def test_a_missing_texture_is_a_warning(tmp_path: Path) -> None:
+    folder = _scene(tmp_path / "a", *room())
+    write_obj(folder / "room.obj", *room(), "gone.png")
+    assert _found(check_path(folder))["missing-texture"] == "warning"
+
+
+def test_a_tilted_scan_in_centimetres_with_turned_faces_is_mended(tmp_path: Path) -> None:
+    corners, quads = room()
+    quads[8] = quads[8, ::-1]
+    report = check_path(_scene(tmp_path / "a", 100.0 * turned(corners, 0, 5.0), quads))
+    assert {"not-level", "not-metres", "inverted"} <= set(_found(report))
+    file, mended = fix_scene(report, tmp_path / "b", Fix(unit_m=0.01))
+    assert mended.clean, mended.findings
+    assert mended.facts is not None and mended.facts.size == pytest.approx(SIZE, abs=1e-3)
+    assert mended.scene is not None
+    assert len(collision_triangles(mended.scene)[1]) == 24
+    assert file == tmp_path / "b" / "scene.yaml"
+
+
+def test_a_huge_texture_is_told_before_it_is_decoded_and_made_smaller(tmp_path: Path) -> None:
+    folder = _scene(tmp_path / "a", *room())
+    write_obj(folder / "room.obj", *room(), "atlas.png")
+    picture = np.zeros((64, 9000, 3), dtype=np.uint8)
+    picture[:, 4500:] = (0, 0, 255)
+    cv2.imwrite(str(folder / "atlas.png"), picture)
+    report = check_path(folder)
+    assert _found(report)["huge-texture"] == "warning"
+    _, mended = fix_scene(report, tmp_path / "b", Fix(max_texture=512))
+    assert mended.clean and mended.scene is not None
+    (part,) = MeshLoader(scene_roots(mended.scene)).shape(mended.scene.visuals[0].shape).parts
+    assert part.material.texture is not None and part.material.texture.pixels.shape == (4, 512, 3)
+    left, right = part.material.texture.pixels[2, [40, 480]].astype(int)
+    assert left.max() < 30 and right[0] > 220
+
+
+def test_a_copy_that_is_mended_needs_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _run("check", _scene(tmp_path / "a", *room()), "--fix") == 1
+    assert "--output" in capsys.readouterr().err
+
+
+def test_inspect_prints_sizes_and_floors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _run("inspect", _scene(tmp_path / "a", *room())) == 0
+    text = capsys.readouterr().out
+    assert "6.00 x 4.00 x 2.50 m" in text and "24 to draw" in text and "floors  0.00 m" in text
+
+
+@pytest.mark.parametrize("name", ["playcanvas_vr_gallery"])
+def test_a_real_scene_is_checked(data_dir: Path, name: str) -> None:
+    report = check_path(data_dir / name)
+    assert report.facts is not None
+    assert report.facts.triangles == 1930 and report.facts.unit == "m" and report.facts.tilt_deg < 0.1
+    assert report.facts.size == pytest.approx((10.12, 10.12, 5.05), abs=0.02)
+    assert [(t.width, t.height) for t in report.facts.textures] == [(1024, 1024)]

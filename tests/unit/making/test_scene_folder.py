@@ -1,0 +1,249 @@
+"""Finished scenes, from what Blender baked to the folder that is loaded. Without Blender, but for the last test."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gibson_sim
+from gibson_sim.errors import SceneError
+from gibson_sim.making.baking import check_blender
+from gibson_sim.making.blender.assembly import assemble
+from gibson_sim.making.blender.charts import BORDER_PX, place_charts
+from gibson_sim.making.blender.furniture import BUILDERS, build_piece
+from gibson_sim.making.blender.looks import LOOKS
+from gibson_sim.making.blender.shapes import Solid
+from gibson_sim.making.blender.shell import build_shell
+from gibson_sim.making.building import MATERIALS, Body, Building, Lamp, Opening, Piece, Room, Start, Storey, Wall
+from gibson_sim.making.building_file import QUALITIES, Quality, read_plan, write_plan
+from gibson_sim.making.catalogue import CATALOGUE
+from gibson_sim.making.glb import Paint, Patch, write_glb
+from gibson_sim.making.pixels import doubled, exposure_of, filled, toned
+from gibson_sim.making.scene_folder import put_mirror, write_scene_folder
+from gibson_sim.scenes.load import load_scene
+from gibson_sim.scenes.mesh import load_mesh
+
+ABOVE = {"kitchen_sink", "basin", "bath"}
+"""Their taps stand out above them."""
+BELOW = {"coat_rack"}
+"""Coats hang from it."""
+
+
+def two_rooms() -> Building:
+    living = Room("living", "living", ((0, 0), (3, 0), (3, 2.5), (0, 2.5)))
+    bath = Room("bath", "bathroom", ((3, 0), (5, 0), (5, 2.5), (3, 2.5)), "tile_grey", "tile_white")
+    walls = (
+        Wall((0, 0), (3, 0), 0.2, 2.4, "living", "", (Opening("window", 1.5, 1.0, 0.9, 1.2),)),
+        Wall((3, 0), (5, 0), 0.2, 2.4, "bath", ""),
+        Wall((5, 0), (5, 2.5), 0.2, 2.4, "bath", ""),
+        Wall((5, 2.5), (3, 2.5), 0.2, 2.4, "bath", ""),
+        Wall((3, 2.5), (0, 2.5), 0.2, 2.4, "living", ""),
+        Wall((0, 2.5), (0, 0), 0.2, 2.4, "living", ""),
+        Wall((3, 0), (3, 2.5), 0.1, 2.4, "living", "bath", (Opening("door", 1.2, 0.8, 0.0, 2.0),)),
+    )
+    pieces = (
+        Piece("table", "coffee_table", 0, "living", (1.2, 1.2, 0.0), 0.0, (0.6, 1.0, 0.4), 1),
+        Piece("lamp", "ceiling_lamp", 0, "bath", (4.0, 1.2, 2.3), 0.0, (0.3, 0.3, 0.1), 1),
+    )
+    lamps = (Lamp("ceiling", (4.0, 1.2, 2.28), 30.0),)
+    storey = Storey(0.0, 2.4, (living, bath), walls)
+    bodies = (Body("mug", "mug", (1.2, 1.2, 0.4), 0.5),)
+    return Building("two_rooms", "flat", 3, (storey,), pieces, bodies, lamps, (Start("door", (2.4, 0.6, 0.0), 1.5),))
+
+
+@pytest.mark.parametrize("kind", sorted(CATALOGUE))
+def test_a_piece_fills_its_size_and_no_more(kind: str) -> None:
+    entry = CATALOGUE[kind]
+    size = (sum(entry.depth) / 2, sum(entry.width) / 2, sum(entry.height) / 2)
+    solid = build_piece(kind, size, 5)
+    points = np.concatenate([part.vertices[part.triangles].reshape(-1, 3) for part in solid.parts])
+    low, high = np.array([-size[0] / 2, -size[1] / 2, 0.0]), np.array([size[0] / 2, size[1] / 2, size[2]])
+    slack = np.full(3, 0.035)
+    assert (points.min(axis=0) > low - slack).all() or kind in BELOW
+    assert (points.max(axis=0) < high + slack).all() or kind in ABOVE
+    assert 40 < sum(len(part.triangles) for part in solid.parts) < 15_000
+    assert solid.boxes
+
+
+def test_every_kind_of_the_catalogue_and_every_material_can_be_made() -> None:
+    assert set(BUILDERS) == set(CATALOGUE)
+    assert set(MATERIALS) <= set(LOOKS)
+
+
+def test_the_same_seed_gives_the_same_piece_and_another_gives_another() -> None:
+    first, again, other = (build_piece("bookshelf", (0.3, 1.0, 1.9), seed) for seed in (1, 1, 2))
+    assert all(np.array_equal(a.vertices, b.vertices) for a, b in zip(first.parts, again.parts, strict=True))
+    assert len(other.parts) != len(first.parts)
+
+
+def test_the_faces_of_a_box_look_outwards() -> None:
+    solid = Solid(np.random.default_rng(0))
+    part = solid.box((0, 0, 0), (1, 2, 3), build_piece("rug", (1.4, 2.0, 0.01), 1).parts[0].surface)
+    corners = part.vertices[part.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (np.einsum("ij,ij->i", normals, corners.mean(axis=1) - [0.5, 1.0, 1.5]) > 0).all()
+
+
+def test_walls_end_at_the_inner_corners_and_leave_their_openings_free() -> None:
+    things = {thing.name: thing for thing in build_shell(two_rooms())}
+    window_wall = things["wall_0"].solid
+    inner = [p for p in window_wall.parts if p.surface.material == "plaster"][0]
+    assert inner.vertices[:, 0].min() == pytest.approx(0.1)
+    assert inner.vertices[:, 0].max() == pytest.approx(2.95)
+    assert np.ptp(inner.vertices[:, 1]) == pytest.approx(0.0)
+    holes = [(low, high) for low, high in window_wall.boxes if low[0] < 1.5 < high[0] and low[2] < 1.5 < high[2]]
+    assert not holes
+    floor = things["floor_living"].solid.parts[0].vertices
+    assert floor[:, 0].max() == pytest.approx(2.95) and floor[:, 1].max() == pytest.approx(2.4)
+
+
+def test_a_wall_that_runs_askew_is_refused() -> None:
+    building = two_rooms()
+    askew = Wall((0, 0), (3, 1), 0.2, 2.4, "living", "")
+    storey = Storey(0.0, 2.4, building.storeys[0].rooms, (askew,))
+    with pytest.raises(SceneError, match="along x or along y"):
+        build_shell(Building("x", "flat", 1, (storey,), (), (), (), ()))
+
+
+def test_charts_do_not_touch_and_lie_within_their_atlas() -> None:
+    rng = np.random.default_rng(2)
+    sizes = rng.uniform(0.02, 1.5, (300, 2))
+    placed = place_charts(sizes, np.ones(300), 2, 512)
+    used = np.zeros((2, 512, 512), dtype=int)
+    for k in range(300):
+        x, y = placed.low_px[k].astype(int)
+        w, h = np.ceil(placed.size_px[k]).astype(int)
+        assert x >= BORDER_PX and y >= BORDER_PX and x + w + BORDER_PX <= 512 and y + h + BORDER_PX <= 512
+        used[placed.atlas[k], y - BORDER_PX : y + h, x - BORDER_PX : x + w] += 1
+    assert used.max() == 1
+
+
+def test_what_cannot_fit_is_refused() -> None:
+    with pytest.raises(SceneError, match="do not fit"):
+        place_charts(np.ones((5000, 2)), np.ones(5000), 1, 64)
+
+
+def test_gaps_get_the_colour_of_the_chart_beside_them() -> None:
+    image = np.zeros((8, 8, 3), dtype=np.float32)
+    image[:, :3], image[:, 5:] = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+    covered = np.ones((8, 8), dtype=bool)
+    covered[:, 3:5] = False
+    result = filled(image, covered)
+    assert np.allclose(result[:, 3], (1, 0, 0)) and np.allclose(result[:, 4], (0, 0, 1))
+
+
+def test_a_doubled_image_keeps_its_mean_and_its_place() -> None:
+    image = np.arange(16, dtype=np.float32).reshape(4, 4, 1)
+    result = doubled(image)
+    assert result.shape == (8, 8, 1)
+    assert result[1:7, 1:7].mean() == pytest.approx(image.mean())
+    assert result[2, 3, 0] == pytest.approx(0.75 * (0.75 * 5 + 0.25 * 6) + 0.25 * (0.75 * 1 + 0.25 * 2) - 0.5 * 0.0, abs=1.0)
+
+
+def test_tones_rise_with_light_and_grey_stays_grey() -> None:
+    tones = toned(np.repeat(np.linspace(0, 8, 50)[:, None], 3, axis=1))
+    assert tones[0].tolist() == [0, 0, 0] and tones[-1].min() >= 250
+    assert (np.diff(tones[:, 0].astype(int)) >= 0).all()
+    assert (tones == tones[:, :1]).all()
+
+
+def test_exposure_does_not_depend_on_how_strong_the_light_is() -> None:
+    sample = np.random.default_rng(1).uniform(0.2, 1.0, (500, 3)).astype(np.float32)
+    assert exposure_of([sample]) == pytest.approx(10 * exposure_of([sample * 10]), rel=1e-4)
+
+
+def test_a_plan_comes_back_from_its_file(tmp_path: Path) -> None:
+    write_plan(tmp_path / "plan.json", two_rooms(), QUALITIES["draft"])
+    assert read_plan(tmp_path / "plan.json") == (two_rooms(), QUALITIES["draft"])
+
+
+def test_a_file_that_is_no_plan_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "plan.json").write_text('{"building": {}}')
+    with pytest.raises(SceneError, match="is no plan"):
+        read_plan(tmp_path / "plan.json")
+
+
+def test_a_quality_of_nothing_is_refused() -> None:
+    with pytest.raises(SceneError, match="at least 1"):
+        Quality(0, 256, 1)
+
+
+def test_a_mesh_is_read_as_it_was_written(tmp_path: Path) -> None:
+    corners = np.array([[[0, 0, 0], [2.0, 0, 0], [0, 1, 0.5]], [[2.0, 0, 0], [2, 1, 0.5], [0, 1, 0.5]]])
+    write_glb(tmp_path / "a.glb", [Patch(Paint(color=(0.5, 0.25, 1.0, 1.0)), corners)])
+    part = load_mesh(tmp_path / "a.glb", [tmp_path]).parts[0]
+    assert len(part.vertices) == 4
+    assert np.allclose(part.vertices[part.triangles], corners, atol=1e-4)
+    assert part.material.unlit and part.material.base_color == pytest.approx((0.5, 0.25, 1.0, 1.0), abs=1e-3)
+
+
+def test_a_mirror_shows_its_picture_upright_and_not_exchanged() -> None:
+    image = np.zeros((20, 20, 3), dtype=np.float32)
+    shown = np.zeros((2, 2, 3), dtype=np.float32)
+    shown[0, 1] = 1.0  # lower right
+    put_mirror(image, np.array([[0.2, 0.2], [0.8, 0.2], [0.8, 0.8], [0.2, 0.8]]), shown)
+    assert image[6, 14, 0] > 0.5 and image[6, 6, 0] == image[14, 14, 0] == 0.0
+    put_mirror(image, np.array([[0.2, 0.8], [0.2, 0.2], [0.8, 0.2], [0.8, 0.8]]), shown)  # lies on its side
+    assert image[6, 6, 0] > 0.5 and image[6, 14, 0] == 0.0
+
+
+def test_a_baked_building_becomes_a_scene_that_loads(tmp_path: Path) -> None:
+    building, quality = two_rooms(), Quality(1, 256, 1)
+    building = Building(**{f: getattr(building, f) for f in building.__dataclass_fields__} | {"bodies": ()})
+    _pretend_baked(building, quality, tmp_path / "work")
+    write_scene_folder(building, quality, tmp_path / "work", tmp_path / "scene", "a test")
+    scene = load_scene(tmp_path / "scene")
+    assert not scene.warnings
+    assert {"wall", "floor", "ceiling", "table", "lamp", "window", "door_frame"} == {v.semantic_class for v in scene.visuals}
+    assert "lid_0" not in {v.name for v in scene.visuals}
+    assert scene.ground_z == 0.0 and [s.name for s in scene.starts] == ["door"]
+    assert "CC0" in (tmp_path / "scene" / "LICENSE").read_text()
+    data = (tmp_path / "scene" / "assets" / "wall_0.glb").read_bytes()
+    document = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
+    assert document["images"] == [{"uri": "atlas_0.jpg"}]
+
+
+def test_an_atlas_that_was_not_baked_is_named(tmp_path: Path) -> None:
+    building, quality = two_rooms(), Quality(1, 256, 1)
+    _pretend_baked(building, quality, tmp_path)
+    (tmp_path / "light_0.npy").unlink()
+    with pytest.raises(SceneError, match="atlas 0 was not baked"):
+        write_scene_folder(building, quality, tmp_path, tmp_path / "scene", "a test")
+
+
+def _pretend_baked(building: Building, quality: Quality, work: Path) -> None:
+    work.mkdir(exist_ok=True)
+    assemble(building, quality.atlases, quality.size_px).save(work / "mesh.npz")
+    size = quality.size_px
+    color = np.ones((size, size, 4), dtype=np.float16)
+    np.save(work / "color_0.npy", color * np.array([0.5, 0.5, 0.5, 1.0], dtype=np.float16))
+    np.savez(work / "mirrors.npz")
+    np.save(work / "light_0.npy", np.ones((size // 2, size // 2, 4), dtype=np.float16))
+
+
+def test_a_python_without_blender_is_named() -> None:
+    if importlib.util.find_spec("bpy") is not None:
+        pytest.skip("SKIPPED: this Python has Blender")
+    with pytest.raises(SceneError, match="has no Blender"):
+        check_blender(sys.executable)
+
+
+def test_blender_bakes_two_rooms(tmp_path: Path) -> None:
+    if importlib.util.find_spec("bpy") is None:
+        pytest.skip("SKIPPED: no Blender in this Python: pip install bpy")
+    write_plan(tmp_path / "plan.json", two_rooms(), Quality(1, 128, 1))
+    path = str(Path(gibson_sim.__file__).parents[1])
+    command = [sys.executable, "-m", "gibson_sim.making.blender", str(tmp_path / "plan.json"), str(tmp_path)]
+    subprocess.run(command, check=True, env={**os.environ, "PYTHONPATH": path}, capture_output=True)
+    light = np.load(tmp_path / "light_0.npy").astype(float)
+    seen = light[..., 3] > 0
+    assert 0.2 < seen.mean() < 1.0
+    assert light[..., :3][seen].mean() > 0.01

@@ -1,0 +1,75 @@
+"""Meshes as scanners give them."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+
+from gibson_sim.errors import EnvironmentProblemError
+from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_xyz_rpy
+from gibson_sim.scanning.coloured_mesh import ColouredMesh, level_transform, moved, welded, without_small_parts, write_ply
+from gibson_sim.scanning.fusion import open3d
+from gibson_sim.scanning.posed_rgbd import ScanError
+from gibson_sim.scenes.mesh import load_mesh
+
+
+def boards(*heights_and_sizes: tuple[float, float]) -> ColouredMesh:
+    """Level squares that look up, each with its height and edge."""
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float32)
+    vertices = np.concatenate([square * (size, size, 1) + (0, 0, height) for height, size in heights_and_sizes]).astype(
+        np.float32
+    )
+    triangles = np.concatenate([np.array([[0, 1, 2], [0, 2, 3]]) + 4 * k for k in range(len(heights_and_sizes))]).astype(np.int32)
+    colors = np.arange(3 * len(vertices), dtype=np.uint8).reshape(-1, 3)
+    return ColouredMesh(vertices, triangles, colors)
+
+
+def test_small_parts_go_with_their_vertices_and_colours_stay():
+    mesh = without_small_parts(boards((0, 0.1), (1, 2.0)), 0.5)
+    assert mesh.area == pytest.approx(4.0)
+    assert mesh.vertices.shape == (4, 3) and (mesh.vertices[:, 2] == 1).all()
+    assert mesh.colors[0].tolist() == [12, 13, 14]
+
+
+def test_vertices_that_nearly_agree_become_one_and_slivers_go():
+    flat = boards((0, 1.0))
+    vertices = np.concatenate([flat.vertices, flat.vertices[:1] + np.float32(1e-5)])
+    triangles = np.concatenate([flat.triangles, [[0, 4, 1]]]).astype(np.int32)
+    mesh = welded(ColouredMesh(vertices, triangles, np.zeros((5, 3), np.uint8)), 1e-3)
+    assert (len(mesh.vertices), len(mesh.triangles)) == (4, 2)
+    assert mesh.area == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("rpy", [(0.0, 0.0, 0.0), (-1.8, 0.1, 0.3), (3.0, 0.0, 0.0)])
+def test_a_scan_that_begins_at_a_camera_is_turned_upright(rpy):
+    """A floor and a table at 0.7 m, in the frame of a camera that was held nearly upright."""
+    level = boards((0.0, 4.0), (0.7, 1.0))
+    T_scan_level = matrix_from_pose(pose_from_xyz_rpy((0.3, -1.0, 2.0), rpy))
+    upright = np.eye(4)
+    upright[:3, :3] = np.array([[0.0, 0.2, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.2]])
+    T = level_transform(moved(level, T_scan_level), (T_scan_level @ upright)[None])
+    found = moved(moved(level, T_scan_level), T)
+    assert sorted(set(np.round(found.vertices[:, 2], 4))) == pytest.approx([0.0, 0.7], abs=1e-4)
+    assert np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3)) and np.linalg.det(T) == pytest.approx(1.0)
+    assert np.allclose(invert(T) @ T, np.eye(4))
+
+
+def test_without_a_level_surface_up_is_not_guessed():
+    wall = moved(boards((0.0, 1.0)), matrix_from_pose(pose_from_xyz_rpy(rpy=(np.pi / 2, 0, 0))))
+    with pytest.raises(ScanError, match="leave out --level"):
+        level_transform(wall, np.eye(4)[None] @ np.diag([1.0, -1.0, 1.0, 1.0])[[0, 2, 1, 3]])
+
+
+def test_a_ply_is_read_again_with_its_colours(tmp_path):
+    write_ply(tmp_path / "new" / "a.ply", boards((0.5, 2.0)))
+    (part,) = load_mesh(tmp_path / "new" / "a.ply", [tmp_path]).parts
+    assert part.vertices.max(axis=0).tolist() == [2.0, 2.0, 0.5]
+    assert part.colors is not None and part.colors[1, :3].tolist() == [3, 4, 5]
+
+
+def test_without_open3d_the_command_that_installs_it_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(EnvironmentProblemError, match=r"pip install 'gibson_sim\[scanning\]'"):
+        open3d()
