@@ -53,6 +53,8 @@ setup(
         "torch": ["torch>=2.3"],
         "lerobot": ["pyarrow>=15"],
         "analysis": ["matplotlib>=3.8"],
+        "authoring": ["bpy"],
+        "scanning": ["open3d-cpu>=0.19; platform_machine == 'x86_64'", "open3d>=0.19; platform_machine != 'x86_64'"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + NAME]),

@@ -155,6 +155,7 @@ def test_contacts_name_both_sides_and_carry_the_weight() -> None:
         assert sum(c.force for c in ground) == pytest.approx(2 * 9.81, rel=0.02)
         assert sum(c.force for c in between) == pytest.approx(9.81, rel=0.02)
         assert {(c.link_a, c.link_b) for c in between} == {("body", "body")}
+        assert all(-1e-3 < c.distance < 1e-3 for c in (*ground, *between))
         assert all(c.normal == pytest.approx((0.0, 0.0, 1.0), abs=1e-3) for c in (*ground, *between))
         upside_down = [c for c in world.contacts("below") if c.body_b == "above"]
         assert upside_down and all(c.normal[2] == pytest.approx(-1.0, abs=1e-3) for c in upside_down)

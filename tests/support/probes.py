@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,23 @@ _URDF = """<robot name="probe"><link name="probe">
 SPHERE = _URDF.format(geometry='<sphere radius="{size}"/>')
 BOX = _URDF.format(geometry='<box size="{size} {size} {size}"/>')
 _NOWHERE = Pose((0.0, 0.0, 1e4))
+
+
+def write_mesh(path: Path, vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> Shape:
+    """Writes an OBJ and returns it as a shape."""
+    with path.open("w") as file:
+        np.savetxt(file, vertices, fmt="v %.6f %.6f %.6f")
+        np.savetxt(file, triangles + 1, fmt="f %d %d %d")
+    return Shape("mesh", (1.0, 1.0, 1.0), str(path))
+
+
+def random_places(vertices: NDArray[np.float64], count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Returns places (N, 6) for ``verdicts`` in the lowest two metres of the box about vertices (V, 3), upright, of any heading."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    high[2] = min(high[2], low[2] + 2.0)
+    turns = np.zeros((count, 3))
+    turns[:, 2] = rng.uniform(-np.pi, np.pi, count)
+    return np.concatenate([rng.uniform(low, high, (count, 3)), turns], axis=1)
 
 
 def verdicts(

@@ -19,6 +19,8 @@ from gibson_sim.errors import ConfigError, GibsonSimError, RobotError, SceneNotF
 PACKAGE = "gibson_sim"
 PATH_VARIABLE = "GIBSON_SIM_PATH"
 _CONFIG_SUFFIXES = ("", ".yaml", ".yml", ".param.yaml")
+_OBJECTS = "objects"
+"""Folder beside our scenes that is none."""
 
 
 def share_folders() -> tuple[Path, ...]:
@@ -122,5 +124,5 @@ def _find(
 def _names(folders: Sequence[Path]) -> Iterator[str]:
     for folder in folders:
         for entry in folder.iterdir() if folder.is_dir() else ():
-            if not entry.name.startswith((".", "_")):
+            if not entry.name.startswith((".", "_")) and entry.name != _OBJECTS:
                 yield entry.name.split(".")[0] if entry.is_file() else entry.name

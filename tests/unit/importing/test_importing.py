@@ -205,6 +205,18 @@ def test_a_mesh_on_its_side_is_stood_up_and_that_is_said(tmp_path: Path) -> None
     assert any("y axis" in warning for warning in imported.warnings)
 
 
+def test_a_scan_in_the_frame_of_its_camera_is_turned_over(tmp_path: Path) -> None:
+    corners, quads = room()
+    # Without its underside, as a scan has a box: x right, y down, z forward.
+    (tmp_path / "scan.ply").write_bytes(ply(turned(corners, 0, 90.0), np.delete(quads, 6, axis=0).tolist(), None))
+    imported = import_scene(tmp_path / "scan.ply", tmp_path / "out")
+    assert any("-y is taken as up" in warning for warning in imported.warnings)
+    vertices, triangles = collision_triangles(imported.scene)
+    box = vertices[np.unique(triangles[12:])]
+    assert np.ptp(vertices[:, 2]) == pytest.approx(2.5)
+    assert box[:, 2].min() == pytest.approx(vertices[:, 2].min())
+
+
 def test_the_user_says_axis_unit_and_name(tmp_path: Path) -> None:
     corners, quads = room()
     write_obj(tmp_path / "scan.obj", 100.0 * turned(corners, 0, -90.0), quads)

@@ -95,7 +95,7 @@ def test_the_faces_of_a_box_look_outwards() -> None:
 def test_walls_end_at_the_inner_corners_and_leave_their_openings_free() -> None:
     things = {thing.name: thing for thing in build_shell(two_rooms())}
     window_wall = things["wall_0"].solid
-    inner = [p for p in window_wall.parts if p.surface.material == "plaster"][0]
+    inner = next(p for p in window_wall.parts if p.surface.material == "plaster")
     assert inner.vertices[:, 0].min() == pytest.approx(0.1)
     assert inner.vertices[:, 0].max() == pytest.approx(2.95)
     assert np.ptp(inner.vertices[:, 1]) == pytest.approx(0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,25 @@ def test_link_with_its_own_friction_is_a_group_of_its_own(tmp_path: Path) -> Non
         read_urdf(write(tmp_path, BALL + '<contact><lateral_friction value="0"/></contact>' + MASS.format(kg=1, i=0.1)))
     )
     assert [group.friction for group in groups] == [None, 0.0]
+
+
+ROLLING = '<contact><rolling_friction value="0.002"/><spinning_friction value="0.001"/></contact>'
+
+
+def test_link_with_its_own_rolling_friction_is_a_group_of_its_own_and_keeps_it_for_the_engine(tmp_path: Path) -> None:
+    model = read_urdf(write(tmp_path, BALL + ROLLING + MASS.format(kg=1, i=0.1)))
+    groups, _ = rigid_groups(model)
+    assert [(group.rolling_friction, group.spinning_friction) for group in groups] == [(0.0, 0.0), (0.002, 0.001)]
+    again = tmp_path / "again.urdf"
+    again.write_text(physics_urdf(model, groups))
+    assert [link.rolling_friction for link in read_urdf(again).links] == [0.0, 0.002]
+
+
+def test_root_that_nothing_moves_needs_no_mass(tmp_path: Path) -> None:
+    model = read_urdf(write(tmp_path, MASS.format(kg=1, i=0.1), "continuous"))
+    massless = replace(model, links=(replace(model.links[0], name="root"), replace(model.links[1], inertial=None), model.links[2]))
+    assert "has no mass" in rigid_groups(massless)[1][0]
+    assert rigid_groups(massless, fixed_root=True)[1] == ()
 
 
 def test_moving_link_without_mass_gets_a_small_one_and_a_warning(tmp_path: Path) -> None:

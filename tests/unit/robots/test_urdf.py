@@ -58,6 +58,16 @@ def test_limits_are_read(read: Read) -> None:
     assert (got.lower, got.upper, got.effort, got.velocity) == (-1.0, 2.0, 3.0, 4.0)
 
 
+def test_frictions_of_a_link_are_read(read: Read) -> None:
+    one = '<contact><lateral_friction value="0.7"/><rolling_friction value="0.002"/><spinning_friction value="0.001"/></contact>'
+    (found,) = read(link(one)).links
+    assert (found.friction, found.rolling_friction, found.spinning_friction) == (0.7, 0.002, 0.001)
+    (bare,) = read(link("")).links
+    assert (bare.friction, bare.rolling_friction, bare.spinning_friction) == (None, 0.0, 0.0)
+    with pytest.raises(RobotError, match="rolling_friction is -1"):
+        read(link('<contact><rolling_friction value="-1"/></contact>'))
+
+
 def test_shapes_and_sizes(read: Read) -> None:
     shapes = '<box size="1 2 3"/>', '<sphere radius="4"/>', '<cylinder radius="5" length="6"/>'
     model = read(link("".join(f"<collision><geometry>{shape}</geometry></collision>" for shape in shapes)))

@@ -5,9 +5,18 @@ from __future__ import annotations
 from types import ModuleType
 from typing import Any
 
-from gibson_sim.cli import scene_fetch, scene_import, scene_inspect, scene_map, scene_objects, scene_scan, scene_view
+from gibson_sim.cli import (
+    scene_fetch,
+    scene_generate,
+    scene_import,
+    scene_inspect,
+    scene_map,
+    scene_objects,
+    scene_scan,
+    scene_view,
+)
 
-_COMMANDS: tuple[ModuleType, ...] = (scene_fetch, scene_import, scene_inspect, scene_map, scene_objects, scene_scan, scene_view)
+_COMMANDS: tuple[ModuleType, ...] = (scene_fetch, scene_generate, scene_import, scene_inspect, scene_map, scene_objects, scene_scan, scene_view)
 
 
 def add_parser(subparsers: Any) -> None:

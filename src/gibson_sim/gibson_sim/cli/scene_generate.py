@@ -28,7 +28,10 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="0 or more (default: 1)")
     parser.add_argument("--name", metavar="NAME", help="of the scene (default: kind and seed)")
     parser.add_argument(
-        "--output", type=Path, metavar="DIR", help="folder of the scene; several scenes: of their folders (default: its name)"
+        "--output",
+        type=Path,
+        metavar="DIR",
+        help="folder of the scene (default: its name); with --shipped: the folder that theirs are in (default: scenes)",
     )
     parser.add_argument(
         "--quality", choices=tuple(QUALITIES), default="normal", metavar="QUALITY", help=f"{', '.join(_SHOWN)} (default: normal)"
@@ -77,8 +80,7 @@ def _folder(args: argparse.Namespace, name: str) -> Path:
     Raises:
         ConfigError: it holds something else.
     """
-    base = args.output or Path(name)
-    folder = base / name if args.shipped == "all" else base
+    folder = (args.output or Path("scenes")) / name if args.shipped else args.output or Path(name)
     if folder.exists() and (not folder.is_dir() or (any(folder.iterdir()) and not (folder / "scene.yaml").is_file())):
         raise ConfigError(f"--output {folder}: is there already and holds no scene; give another folder")
     return folder

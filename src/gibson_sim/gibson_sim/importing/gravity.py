@@ -19,8 +19,11 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0.3048, "km"
 _SLABS = 400
 _SURE = 1.5
 _EDGE = 0.08
-_CONES_DEG = (20.0, 8.0, 3.0, 3.0)
-_LOW, _HIGH = 1.8, 25.0
+_CLEAR = 0.3
+_CONE_DEG = 25.0
+_FIRST_HALF, _LAST_HALF, _SHRINK, _NARROWEST = 0.05, 0.004, 0.7, 0.03
+_MOST_FACES = 300_000
+_LOW, _HIGH = 1.2, 25.0
 _STOREY = 2.8
 _NARROW, _WIDE = 1.0, 400.0
 
@@ -37,6 +40,8 @@ class UpGuess:
     """Angle between ``up`` and the z axis; 0 where no level surface was found."""
     level_area: float
     """Area that the guess rests on, square units of the mesh."""
+    sign_is_clear: bool = False
+    """Whether it is known which end of ``axis`` is up; an empty room looks the same upside down."""
 
 
 def face_normals(vertices: F64, triangles: NDArray[np.integer]) -> tuple[F64, F64]:
@@ -57,20 +62,23 @@ def guess_up(vertices: F64, triangles: NDArray[np.integer]) -> UpGuess:
         vertices: (V, 3).
         triangles: (F, 3).
     """
-    normals, areas = face_normals(vertices, triangles)
-    centres = vertices[triangles].mean(axis=1)
+    some = triangles[:: max(1, len(triangles) // _MOST_FACES)]
+    normals, areas = face_normals(vertices, some)
+    corners = vertices[some]
+    centres = corners.mean(axis=1)
     found = [_level(normals, areas, centres, axis) for axis in range(3)]
     best = max(range(3), key=lambda axis: found[axis] * (_SURE if axis == 2 else 1.0))
     start = np.zeros(3)
-    start[best] = 1.0 if best == 2 else _sign(normals, areas, centres, best)
-    up, area = _refined(normals, areas, start)
+    balance = _sign(normals, areas, centres, best)
+    start[best] = 1.0 if best == 2 or balance >= 0 else -1.0
+    up, area = _refined(normals, areas, corners, start)
     tilt = math.degrees(math.acos(float(np.clip(up[2], -1.0, 1.0)))) if area > 0 else 0.0
-    return UpGuess(("x", "y", "z")[best], (float(up[0]), float(up[1]), float(up[2])), tilt, area)
+    return UpGuess(("x", "y", "z")[best], (float(up[0]), float(up[1]), float(up[2])), tilt, area, abs(balance) > _CLEAR)
 
 
 def _level(normals: F64, areas: F64, centres: F64, axis: int) -> float:
     """Returns the largest area across an axis that lies in one thin slab."""
-    flat = np.abs(normals[:, axis]) > math.cos(math.radians(_CONES_DEG[0]))
+    flat = np.abs(normals[:, axis]) > math.cos(math.radians(_CONE_DEG))
     if not flat.any():
         return 0.0
     heights = centres[flat, axis]
@@ -81,26 +89,49 @@ def _level(normals: F64, areas: F64, centres: F64, axis: int) -> float:
 
 
 def _sign(normals: F64, areas: F64, centres: F64, axis: int) -> float:
-    """Returns 1.0 or -1.0: between floor and ceiling more faces up than down, as tables are closed above and scanned from above."""
+    """Returns how much more area between floor and ceiling faces along the axis than against it, -1 to 1.
+
+    Tables are seen from above, and scanned from there.
+    """
     heights = centres[:, axis]
     low, high = float(heights.min()), float(heights.max())
     margin = _EDGE * (high - low)
     between = (heights > low + margin) & (heights < high - margin) & (np.abs(normals[:, axis]) > 0.9)
-    return 1.0 if float((areas * normals[:, axis])[between].sum()) >= 0 else -1.0
+    total = float(areas[between].sum())
+    return float((areas * normals[:, axis])[between].sum()) / total if total > 0 else 0.0
 
 
-def _refined(normals: F64, areas: F64, up: F64) -> tuple[F64, float]:
-    """Returns the mean direction of what faces along or against ``up``, in cones that get narrower, and its area."""
-    area = 0.0
-    for cone in _CONES_DEG:
-        along = normals @ up
-        near = np.abs(along) > math.cos(math.radians(cone))
-        if not near.any():
-            break
-        total = (areas[near] * np.sign(along[near])) @ normals[near]
-        area = float(areas[near].sum())
-        up = total / np.linalg.norm(total)
-    return up, area
+def _refined(normals: F64, areas: F64, corners: F64, up: F64) -> tuple[F64, float]:
+    """Returns the direction of the largest level surface near ``up``, and its area.
+
+    Normals of a scan scatter by many degrees, so they only say which faces are meant; the direction is that of the plane through these.
+    """
+    near = np.abs(normals @ up) > math.cos(math.radians(_CONE_DEG))
+    if not near.any():
+        return up, 0.0
+    # Corners rather than centres: the two triangles of a plain floor have a line of these.
+    points, weights = corners[near].reshape(-1, 3), np.repeat(areas[near] / 3.0, 3)
+    size = max(float(np.ptp(points, axis=0).max()), 1e-9)
+    half = _FIRST_HALF * size
+    heights = points @ up
+    bins = np.floor((heights - heights.min()) / half).astype(np.int64)
+    sums = np.bincount(bins, weights=weights)
+    middle = heights.min() + (int((sums[:-1] + sums[1:]).argmax()) + 1 if len(sums) > 1 else 0.5) * half
+    inside = np.abs(heights - middle) <= half
+    while True:
+        mean = np.average(points[inside], axis=0, weights=weights[inside])
+        offsets = points[inside] - mean
+        values, vectors = np.linalg.eigh((offsets * weights[inside, None]).T @ offsets / weights[inside].sum())
+        if values[1] < (_NARROWEST * size) ** 2:
+            return up, float(weights[inside].sum())  # a ledge or a beam says nothing
+        up = vectors[:, 0] * (1.0 if float(vectors[:, 0] @ up) >= 0 else -1.0)
+        if half <= _LAST_HALF * size:
+            return up, float(weights[inside].sum())
+        half *= _SHRINK
+        closer = np.abs((points - mean) @ up) <= half
+        if not closer.any():
+            return up, float(weights[inside].sum())
+        inside = closer
 
 
 def rotation_to_z(up: Sequence[float]) -> F64:

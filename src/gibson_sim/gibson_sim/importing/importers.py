@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from gibson_sim.errors import SceneError
-from gibson_sim.geometry.transforms import matrix_from_pose
+from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
 from gibson_sim.importing.document import BAKED_LIGHT, FloorPicture, ImportedObject, ImportedScene
 from gibson_sim.importing.floor_pictures import GIBSON_RESOLUTION
-from gibson_sim.importing.gravity import UpGuess, guess_up
+from gibson_sim.importing.gravity import guess_up
 from gibson_sim.importing.hm3d import labelled_faces_of_textures
 from gibson_sim.importing.labels import LabelledFaces, class_name, habitat_classes, replica_classes, take_apart, transfer
 from gibson_sim.importing.sources import MAX_BYTES, Kind, Source
@@ -24,10 +25,11 @@ from gibson_sim.scenes.mesh import MeshLoader, scene_roots
 from gibson_sim.scenes.mesh_ply import ply_part, read_ply
 from gibson_sim.scenes.mesh_types import TO_Z_UP, Mesh, UpAxis, fan
 from gibson_sim.scenes.spec import CollisionSpec, LightSpec, SceneSpec
-from gibson_sim.types import Vec3
+from gibson_sim.types import Pose, Vec3
 
 _OBJECT_ID = ("object_id", "objectId", "segment")
 _MOST_OBJECTS = 5000
+_ALONG = 0.9
 _LICENCES = ("LICENSE", "LICENCE", "LICENSE.txt", "LICENSE.md", "COPYING", "SOURCE.txt", "license.txt")
 
 
@@ -162,7 +164,7 @@ def _habitat(source: Source, choices: Choices) -> ImportedScene:
     if not choices.semantics:
         return _single(scene, source, choices)
     mesh = _with_warnings(scene, _loader(source.folder).mesh(source.file))
-    up = choices.up_axis or _up_of(scene, mesh)
+    up = choices.up_axis or _up_of(scene, mesh)[0]
     mesh = mesh.transformed(_turn(up, mesh)) if up else mesh
     labelled, lists = source.semantics
     if labelled.suffix.lower() == ".glb":
@@ -196,30 +198,33 @@ def _mesh(source: Source, choices: Choices) -> ImportedScene:
 
 def _single(scene: ImportedScene, source: Source, choices: Choices) -> ImportedScene:
     mesh = _with_warnings(scene, _loader(source.folder, textures=False).mesh(source.file))
-    up = choices.up_axis or _up_of(scene, mesh)
-    scene.objects = [ImportedObject(source.file.stem, source.file, up_axis=up or "", unit_m=choices.unit_m)]
+    pose = Pose()
+    up = choices.up_axis
+    if up is None:
+        up, upside_down = _up_of(scene, mesh)
+        pose = pose_from_xyz_rpy((0.0, 0.0, 0.0), (math.pi, 0.0, 0.0)) if upside_down else pose
+    scene.objects = [ImportedObject(source.file.stem, source.file, pose, up_axis=up or "", unit_m=choices.unit_m)]
     return scene
 
 
-def _up_of(scene: ImportedScene, mesh: Mesh) -> UpAxis | None:
-    """Returns the axis of the file that is up, where that is surely another one than its format says; else nothing."""
+def _up_of(scene: ImportedScene, mesh: Mesh) -> tuple[UpAxis | None, bool]:
+    """Returns the axis of the file that is up, or None if that is the one of its format; and whether it points down instead.
+
+    Scans that were put together in the frame of their first camera have y down.
+    """
     vertices, triangles = mesh.merged()
     guess = guess_up(vertices, triangles)
-    if guess.axis == "z":
-        return None
-    axis = _file_axis(guess, mesh)
-    if axis is not None:
-        scene.warnings.append(
-            f"{mesh.files[0].name}: its floor lies across the {axis} axis of the file: that is taken as up; --up-axis says otherwise"
-        )
-    return axis
-
-
-def _file_axis(guess: UpGuess, mesh: Mesh) -> UpAxis | None:
-    """Returns the axis of the file along which up is; nobody writes files with an axis that points down."""
-    in_file = np.abs(TO_Z_UP[mesh.up_axis].T @ np.asarray(guess.up))
-    axis = int(in_file.argmax())
-    return ("x", "y", "z")[axis] if in_file[axis] > 0.9 else None
+    in_file = TO_Z_UP[mesh.up_axis].T @ np.asarray(guess.up)
+    number = int(np.abs(in_file).argmax())
+    if guess.axis == "z" or abs(in_file[number]) < _ALONG:
+        return None, False
+    axis: UpAxis = ("x", "y", "z")[number]
+    down = bool(in_file[number] < 0 and guess.sign_is_clear)
+    scene.warnings.append(
+        f"{mesh.files[0].name}: its floor lies across the {axis} axis of the file: {'-' if down else ''}{axis} is taken as up; "
+        "--up-axis says otherwise"
+    )
+    return axis, down
 
 
 def _usd(source: Source, choices: Choices) -> ImportedScene:

@@ -1,7 +1,8 @@
-"""What is seen through the windows: sky, trees and meadow as a camera sees them that is exposed for the room. NumPy only."""
+"""What is seen through the windows: sky, trees and meadow as a camera sees them that is exposed for the room."""
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,36 +19,48 @@ def outside(seed: int) -> NDArray[np.uint8]:
     image = np.repeat(image, WIDTH, axis=1)
     clouds = np.clip((_noise(rng, 5, 1.0) - 0.48) * 3.2, 0, 0.8) * np.clip(elevation / 20.0, 0, 1)[:, None]
     image += clouds[..., None] * (np.array([0.99, 0.99, 0.99]) - image)
-    meadow = np.array([0.74, 0.81, 0.60]) * (0.93 + 0.14 * _noise(rng, 7, 0.8))[..., None]
+    meadow = np.array([0.68, 0.74, 0.56]) * (0.82 + 0.36 * _noise(rng, 9, 0.9))[..., None]
     below = np.clip(-elevation / 1.2, 0, 1)[:, None, None]
     image += below * (meadow - image)
-    for haze, top, tone in ((0.6, 6.5, (0.50, 0.60, 0.52)), (0.35, 5.0, (0.38, 0.50, 0.32)), (0.15, 3.0, (0.33, 0.46, 0.25))):
-        ragged = 7.0 * (_noise(rng, 9, 0.75) - 0.5)
-        line = top * (0.3 + 1.2 * _outline(rng))
-        inside = np.clip((line[None] + ragged - elevation[:, None]) / 0.4, 0, 1) * np.clip(
-            (elevation[:, None] + 2.2 + 1.5 * (0.7 - haze)) / 0.5, 0, 1
-        )
-        leaves = np.array(tone) * (0.25 + 1.5 * _noise(rng, 9, 0.8))[..., None]
-        leaves += haze * (np.array([0.90, 0.93, 0.95]) - leaves)
-        image += inside[..., None] * (leaves - image)
+    picture = np.ascontiguousarray(image, dtype=np.float32)
+    for haze, top, tone in ((0.6, 15.0, (0.50, 0.60, 0.52)), (0.35, 11.0, (0.36, 0.47, 0.28)), (0.12, 6.0, (0.30, 0.42, 0.20))):
+        _trees(picture, rng, top * (0.35 + 0.9 * _outline(rng)), tone, haze)
+    image = cv2.GaussianBlur(picture, (0, 0), 1.6)
     # The room is what the camera is exposed for: outside is too bright.
     return np.asarray(np.clip(np.round((1 - (1 - np.clip(image, 0, 1)) * 0.62) * 255), 0, 255), dtype=np.uint8)
 
 
 def _noise(rng: np.random.Generator, octaves: int, falloff: float) -> F64:
-    """Returns noise about 0.5 that goes on across the seam."""
-    result, total = np.zeros((HEIGHT, WIDTH)), 0.0
+    """Returns noise about 0.5, (HEIGHT, WIDTH), that goes on across the seam."""
+    result, total = np.zeros((HEIGHT, WIDTH), dtype=np.float32), 0.0
     for k in range(octaves):
         rows, columns, weight = 2 ** (k + 1), 2 ** (k + 2), falloff**k
-        grid = rng.random((rows + 1, columns))
-        y, x = np.linspace(0, rows, HEIGHT, endpoint=False), np.linspace(0, columns, WIDTH, endpoint=False)
-        j, i = y.astype(int), x.astype(int)
-        v, u = _eased(y - j)[:, None], _eased(x - i)[None]
-        above = grid[j][:, i] * (1 - u) + grid[j][:, (i + 1) % columns] * u
-        under = grid[j + 1][:, i] * (1 - u) + grid[j + 1][:, (i + 1) % columns] * u
-        result += weight * (above * (1 - v) + under * v)
+        grid = rng.random((rows, columns), dtype=np.float32)
+        around = np.concatenate([grid[:, -2:], grid, grid[:, :2]], axis=1)
+        step = WIDTH // columns
+        wide = cv2.resize(around, (WIDTH + 4 * step, HEIGHT), interpolation=cv2.INTER_CUBIC)
+        result += weight * wide[:, 2 * step : 2 * step + WIDTH]
         total += weight
-    return result / total
+    return np.asarray(result / total, dtype=np.float64)
+
+
+def _trees(
+    picture: NDArray[np.float32], rng: np.random.Generator, top: F64, tone: tuple[float, float, float], haze: float
+) -> None:
+    """Draws a line of trees, whose crowns are many bunches of leaves, lit from above. ``top``: (WIDTH,), degrees."""
+    per_degree = HEIGHT / 180.0
+    for x in np.sort(rng.uniform(0, WIDTH, 150)):
+        tall = float(top[int(x)]) * rng.uniform(0.7, 1.1) * per_degree
+        color = np.array(tone) * rng.uniform(0.75, 1.25)
+        ground = HEIGHT / 2 + per_degree * (0.6 + 1.2 * (1 - haze))
+        for _ in range(50):
+            up, aside = rng.uniform(0, 1), rng.normal(0, 0.28)
+            middle = (round(x + aside * tall * (1.1 - up) * 1.4), round(ground - up * tall))
+            light = (0.55 + 0.75 * up + rng.uniform(-0.2, 0.2)) * color
+            hazy = light + haze * (np.array([0.90, 0.93, 0.95]) - light)
+            radius = max(2, round(rng.uniform(0.06, 0.15) * tall))
+            for turn in (-WIDTH, 0, WIDTH):  # the left edge goes on at the right one
+                cv2.circle(picture, (middle[0] + turn, middle[1]), radius, hazy.tolist(), -1, cv2.LINE_AA)
 
 
 def _outline(rng: np.random.Generator) -> F64:
@@ -56,7 +69,3 @@ def _outline(rng: np.random.Generator) -> F64:
     for k in (2, 3, 5, 9, 17, 31, 53, 97, 160):
         line += 0.32 / k**0.55 * np.sin(k * angle + rng.uniform(0, 6.3))
     return np.asarray(np.clip(line, 0, 1))
-
-
-def _eased(t: F64) -> F64:
-    return np.asarray(t * t * (3 - 2 * t))

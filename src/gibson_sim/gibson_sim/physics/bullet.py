@@ -444,6 +444,40 @@ class Bullet:
         return np.array(fractions, dtype=np.float64)
 
 
+def convex_parts(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int64]
+) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
+    """Returns convex parts that together fill about what a mesh fills, each as vertices (V, 3) and triangles (F, 3); V-HACD makes them.
+
+    Args:
+        vertices: (V, 3).
+        triangles: (F, 3).
+
+    Raises:
+        PhysicsError: it makes none.
+    """
+    with tempfile.TemporaryDirectory(prefix="gibson_sim_parts_") as folder:
+        whole, parts = Path(folder, "whole.obj"), Path(folder, "parts.obj")
+        with whole.open("w", encoding="ascii") as file:
+            file.writelines(f"v {x!r} {y!r} {z!r}\n" for x, y, z in vertices.tolist())
+            file.writelines(f"f {a} {b} {c}\n" for a, b, c in (triangles + 1).tolist())
+        with _quiet():
+            p.vhacd(str(whole), str(parts), str(Path(folder, "log.txt")), resolution=100_000)
+        lines = parts.read_text(encoding="ascii").splitlines() if parts.is_file() else []
+    points = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], dtype=np.float64).reshape(-1, 3)
+    out, faces = [], []
+    for line in [*lines, "o end"]:
+        if line.startswith("f "):
+            faces.append([int(corner) - 1 for corner in line.split()[1:4]])
+        elif line.startswith("o ") and faces:
+            used, corners = np.unique(np.array(faces, dtype=np.int64), return_inverse=True)
+            out.append((points[used], corners.reshape(-1, 3)))
+            faces = []
+    if not out:
+        raise PhysicsError(f"V-HACD makes no convex parts of a mesh with {len(triangles)} triangles; is it flat, or empty?")
+    return out
+
+
 def _pieces(
     vertices: NDArray[np.float64], triangles: NDArray[np.int64]
 ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:

@@ -73,6 +73,8 @@ def fuse(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _:
             blocks = grid.compute_unique_block_coordinates(depth, K, T_camera_world, *reach)
             grid.integrate(blocks, depth, color, K, K, T_camera_world, *reach)
         progress(0.9 * (done + 1) / len(chosen))
+    if not grid.hashmap().size():
+        raise ScanError(_nothing(settings))
     mesh = welded(_extracted(grid, settings), _WELD * settings.voxel)
     if settings.min_part:
         mesh = without_small_parts(mesh, settings.min_part)
@@ -86,16 +88,20 @@ def fuse(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _:
 
 def _extracted(grid: Any, settings: FuseSettings) -> ColouredMesh:
     """Returns the triangles of a distance field."""
-    found = grid.extract_triangle_mesh(settings.min_weight)
+    found = grid.extract_triangle_mesh(settings.min_weight - 0.5)  # it takes what has a larger weight
     if found.is_empty():
-        raise ScanError(
-            f"no surface was seen by {settings.min_weight:g} images or more within {settings.depth_max:g} m; "
-            "give a smaller --min-weight or a larger --depth-max, and check the depth scale and the poses"
-        )
+        raise ScanError(_nothing(settings))
     if len(found.vertex.positions) > _MOST_VERTICES:
         raise ScanError(f"the mesh has {len(found.vertex.positions)} vertices; give a larger --voxel than {settings.voxel:g} m")
     colors = np.clip(np.rint(found.vertex.colors.numpy() * 255.0), 0, 255).astype(np.uint8)
     return ColouredMesh(found.vertex.positions.numpy().copy(), found.triangle.indices.numpy().astype(np.int32), colors)
+
+
+def _nothing(settings: FuseSettings) -> str:
+    return (
+        f"no surface was seen by {settings.min_weight:g} images or more within {settings.depth_max:g} m; "
+        "give a smaller --min-weight or a larger --depth-max, and check the depth scale and the poses"
+    )
 
 
 def simplified(mesh: ColouredMesh, triangles: int) -> ColouredMesh:

@@ -144,7 +144,7 @@ def choose_stations(
         part = places[first : first + _AT_ONCE]
         eyes = [np.array([p.x, p.y, storeys[p.storey].floor_z + p.height]) for p in part]
         for k, (eye, panorama) in enumerate(zip(eyes, draw([panorama_camera(eye) for eye in eyes]), strict=True)):
-            if np.min(panorama) >= _TOO_NEAR * tour.clearance:
+            if nearest_beside(panorama) >= _TOO_NEAR * tour.clearance:
                 seen[first + k] = visible_from(eye, panorama, surface, _elevations(camera, tour), reach)
         progress(min(first + _AT_ONCE, len(places)) / len(places))
     visible = seen.any(axis=0)
@@ -170,6 +170,12 @@ def panorama_camera(eye: F64, width: int = PANORAMA_WIDTH) -> CameraSpec:
         "panorama", "", Pose((float(eye[0]), float(eye[1]), float(eye[2])), quat_from_matrix(R_LINK_OPTICAL)), width, width // 2,
         near=0.03, outputs=("depth",), projection="equirectangular",
     )  # fmt: skip
+
+
+def nearest_beside(panorama: F32) -> float:
+    """Returns the distance to the nearest thing at about the height of the eye of an equirectangular picture, metres."""
+    rows = len(panorama)
+    return float(panorama[3 * rows // 8 : 5 * rows // 8].min())
 
 
 def visible_from(

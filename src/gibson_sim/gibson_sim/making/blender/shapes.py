@@ -274,7 +274,9 @@ def _chamfered(a: F64, b: F64, bevel: float) -> tuple[F64, I64]:
 
 def _chamfered_triangles() -> I64:
     """Returns the triangles of a chamfered box: sides, edges, corners."""
-    polygons = [[c * 3 + axis for c in quad] for axis, quads in enumerate((_QUADS[:2], _QUADS[2:4], _QUADS[4:])) for quad in quads]
+    polygons = [
+        [c * 3 + axis for c in quad] for axis, quads in enumerate((_QUADS[:2], _QUADS[2:4], _QUADS[4:])) for quad in quads
+    ]
     for axis in range(3):
         p, q = (k for k in range(3) if k != axis)
         for sp in (0, 1):

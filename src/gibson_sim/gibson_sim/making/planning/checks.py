@@ -118,6 +118,10 @@ def _lamps(building: Building) -> Iterator[str]:
     for lamp in building.lamps:
         if not any(math.dist(p.position[:2], lamp.position[:2]) < 0.05 for p in pieces):
             yield f"a light at {lamp.position} has no lamp"
+    lit = {p.room for p in pieces if CATALOGUE[p.kind].stands == "ceiling"}
+    yield from (
+        f"{room.name} has no lamp under its ceiling" for s in building.storeys for room in s.rooms if room.name not in lit
+    )
     for piece in pieces:
         if not any(math.dist(piece.position[:2], lamp.position[:2]) < 0.05 for lamp in building.lamps):
             yield f"{piece.name} does not shine"
@@ -163,23 +167,19 @@ def _carries(piece: Piece, position: tuple[float, float, float], rect: Rect) -> 
 
 
 def _at_wall(piece: Piece, view: RoomView, others: list[Piece]) -> bool:
-    """Returns whether a wall is behind a piece; desks of an island have a screen there."""
+    """Returns whether a wall is behind a piece. Sofas may stand free, and desks of an island have a screen behind them."""
     back = (
         piece.position[0] - math.cos(piece.yaw) * piece.size[0] / 2,
         piece.position[1] - math.sin(piece.yaw) * piece.size[0] / 2,
     )
-    for face in view.faces:
+    for face in view.sides:
         along = (back[0] - face.start[0]) * face.along[0] + (back[1] - face.start[1]) * face.along[1]
         off = (back[0] - face.start[0]) * face.normal[0] + (back[1] - face.start[1]) * face.normal[1]
-        if (
-            face.low - 0.01 <= along <= face.high + 0.01
-            and -0.01 < off < 0.25
-            and abs(math.remainder(face.yaw - piece.yaw, 2 * math.pi)) < 0.01
-        ):
+        turned = abs(math.remainder(face.yaw - piece.yaw, 2 * math.pi))
+        if face.low - 0.01 <= along <= face.high + 0.01 and -0.01 < off < 0.25 and turned < 0.01:
             return True
-    return piece.kind in ("desk", "sofa", "television") and (
-        piece.kind == "sofa" or any(p.kind == "partition" and math.dist(p.position, piece.position) < 0.7 for p in others)
-    )
+    screens = (p for p in others if p.kind == "partition")
+    return piece.kind == "sofa" or (piece.kind == "desk" and any(math.dist(p.position, piece.position) < 0.7 for p in screens))
 
 
 def _doors_and_windows(building: Building, number: int, views: dict[str, RoomView]) -> Iterator[str]:

@@ -25,15 +25,15 @@ class Design:
 
 
 SHIPPED: tuple[Design, ...] = (
-    Design("linden_flat", "flat", 1, "Flat"),
-    Design("harbour_flat", "flat", 2, "Flat"),
-    Design("courtyard_flat", "flat", 0, "Flat"),
-    Design("attic_flat", "flat", 3, "Flat"),
-    Design("orchard_house", "house", 0, "House"),
-    Design("mill_house", "house", 2, "House"),
-    Design("garden_house", "house", 3, "House"),
-    Design("print_works_office", "office", 0, "Office"),
-    Design("river_office", "office", 1, "Office"),
-    Design("corner_shop", "shop", 1, "Shop"),
+    Design("linden_flat", "flat", 14, "Flat with an open kitchen, pine floors and a brick wall, two bedrooms"),
+    Design("harbour_flat", "flat", 26, "Flat around a square hall, walnut floors, sage walls, one bedroom"),
+    Design("courtyard_flat", "flat", 36, "Flat in two wings, oak floors, a study"),
+    Design("boulevard_flat", "flat", 11, "Large flat along a corridor, parquet, a study, two bedrooms"),
+    Design("orchard_house", "house", 1, "House with a stair in its middle, oak floors, three bedrooms, a study"),
+    Design("mill_house", "house", 3, "Narrow house with a stair along one side, pine floors, two bedrooms"),
+    Design("garden_house", "house", 0, "House with a stair in its middle, walnut floors, three bedrooms, a guest room"),
+    Design("print_works_office", "office", 0, "Open plan office with a meeting room"),
+    Design("river_office", "office", 1, "Single offices along a corridor, a meeting room"),
+    Design("corner_shop", "shop", 8, "Self-service shop with a storage room"),
 )
 """Four flats, three houses, two offices, a shop."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.making.building import Body, Lamp, Piece, Point
 from gibson_sim.making.catalogue import CATALOGUE
-from gibson_sim.making.planning.rectangles import Box, Rect, around
+from gibson_sim.making.planning.rectangles import EPSILON, Box, Rect, around
 from gibson_sim.making.planning.rooms import Face, RoomView
 from gibson_sim.types import Vec3
 
@@ -160,7 +160,7 @@ class FurnishedRoom:
         """Returns whether a thing lies in the room, meets nothing, and keeps doors, windows and what others need before them free."""
         box = part.box
         rect = box.rect
-        if not self.view.holds(rect) or box.z1 > self.height:
+        if not self.view.holds(rect) or box.z1 > self.height + EPSILON:
             return False
         if part.flat:
             return not any(other.flat and other.rect.overlaps(rect) for other in self.parts)

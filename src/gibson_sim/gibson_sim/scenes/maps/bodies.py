@@ -58,7 +58,7 @@ def _moved(joint: UrdfJoint, position: float) -> Mat4:
         out[:3, 3] = axis * position
     elif position:
         across = np.cross(np.eye(3), axis)
-        out[:3, :3] += math.sin(position) * -across + (1.0 - math.cos(position)) * across @ across
+        out[:3, :3] += math.sin(position) * across + (1.0 - math.cos(position)) * across @ across
     return out
 
 

@@ -21,11 +21,16 @@ _UP = 0.8
 _BIN = 0.02
 
 
-def scene_floors(scene: SceneSpec) -> tuple[float, ...]:
-    """Returns the heights of all floors, from the lowest, metres: those that the scene names, else those that are found."""
+def scene_floors(scene: SceneSpec, triangles: tuple[F64, NDArray[np.int32]] | None = None) -> tuple[float, ...]:
+    """Returns the heights of all floors, from the lowest, metres: those that the scene names, else those that are found.
+
+    Args:
+        scene: the scene.
+        triangles: its ``collision_triangles``; None = read here.
+    """
     if scene.other_floors:
         return scene.floors
-    found = find_floors(*collision_triangles(scene))
+    found = find_floors(*(triangles or collision_triangles(scene)))
     others = [z for z in found if abs(z - scene.floor_z) >= STOREY]
     return tuple(sorted([scene.floor_z, *others]))
 

@@ -25,7 +25,7 @@ _SNAP = 0.5
 """A start or a goal that is not free is moved to a free cell at most this far away, metres."""
 _SAMPLES = 4
 """Points on a line that are looked up, for each cell of its length."""
-_MOST_CORNERS = 300
+_MOST_CORNERS = 120
 _CORNER = 1e-4
 
 
@@ -98,9 +98,12 @@ class PathPlanner:
     def _passes(self, dr: int, dc: int) -> Bools:
         """Returns (N,): cells from which all cells on the line to the one ``dr`` rows and ``dc`` columns on are places."""
         padded = np.pad(self.places, _FARTHEST)
-        steps = np.linspace(0.0, 1.0, 8 * _FARTHEST)[:, None] * np.array([dr, dc])
+        steps = np.linspace(0.0, 1.0, 8 * _FARTHEST + 1)[:, None] * np.array([dr, dc])
+        before, behind = np.floor(steps + 0.499), np.ceil(steps - 0.499)
+        # Where the line runs through a corner all cells that meet there count.
+        mixed = [before, behind, np.stack([before[:, 0], behind[:, 1]], 1), np.stack([behind[:, 0], before[:, 1]], 1)]
         out = np.ones(len(self._cells), dtype=bool)
-        for offset in np.unique(np.concatenate([np.floor(steps + 0.499), np.ceil(steps - 0.499)]).astype(np.int64), axis=0):
+        for offset in np.unique(np.concatenate(mixed).astype(np.int64), axis=0):
             out &= padded[tuple((self._cells + offset + _FARTHEST).T)]
         return out
 

@@ -73,9 +73,10 @@ def floor_maps(
     Raises:
         SceneError: there is nothing at a floor's height.
     """
-    vertices, triangles = merge([collision_triangles(scene), *([body_triangles(scene)] if bodies and scene.bodies else [])])
+    fixed = collision_triangles(scene)
+    heights = scene_floors(scene, fixed) if floors is None else tuple(floors)
+    vertices, triangles = merge([fixed, body_triangles(scene)]) if bodies and scene.bodies else fixed
     corners = vertices[triangles]
-    heights = scene_floors(scene) if floors is None else tuple(floors)
     return tuple(
         traversable_map(
             corners,

@@ -77,10 +77,20 @@ def fill_corners(room: FurnishedRoom, kind: str, count: int) -> None:
     for _ in range(count):
         size = room.size(kind)
         side = max(size[0], size[1])
+        half = size[1] / 2 + 0.06
         corners = [
-            (face, along) for face in room.view.sides for along in (face.low + size[1] / 2 + 0.06, face.high - size[1] / 2 - 0.06)
+            (face, along)
+            for face in room.view.sides
+            for along in (face.low + half, face.high - half)
+            if _in_corner(room, face, along)
         ]
         corners.sort(key=lambda spot: -room.distance_to_doors(spot[0].point(spot[1], side)) + float(room.rng.random()))
         for face, along in corners:
             if face.length > side + 0.3 and room.place([room.on_wall(kind, face, along, size, gap=0.06)]):
                 break
+
+
+def _in_corner(room: FurnishedRoom, face: Face, along: float) -> bool:
+    """Returns whether the nearer end of a wall meets another, rather than turning away from the room."""
+    end = face.low - 0.05 if along < (face.low + face.high) / 2 else face.high + 0.05
+    return not any(cell.holds(face.point(end, 0.1)) for cell in room.view.cells)

@@ -156,7 +156,9 @@ def furnish_bedroom(room: FurnishedRoom) -> bool:
     double = room.view.area > 9.5 and not (room.view.room.name.endswith(("_2", "_3")) and room.rng.random() < 0.5)
     one = (1,) if room.rng.random() < 0.5 else (-1,)
     beds: list[tuple[str, tuple[int, ...]]] = [("double_bed", (1, -1)), ("double_bed", one)] if double else []
-    if not any(_put_bed(room, kind, sides) for kind, sides in [*beds, ("single_bed", one)]):
+    if not (double and room.strict):
+        beds.append(("single_bed", one))
+    if not any(_put_bed(room, kind, sides) for kind, sides in beds):
         return False
     wardrobe = by_wall(room, "wardrobe", near_corner(room, 1.6)) or by_wall(room, "wardrobe", near_corner(room, 1.2), width=1.2)
     if not wardrobe:

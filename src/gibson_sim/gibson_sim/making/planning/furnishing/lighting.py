@@ -9,6 +9,8 @@ from gibson_sim.making.planning.rectangles import Rect
 from gibson_sim.making.planning.space import FurnishedRoom, Part
 
 _COOL = ("office", "open_office", "meeting", "shop", "storage", "kitchenette", "corridor")
+_APART = 1.3
+"""From a pendant to the next lamp, metres."""
 _TABLES = ("dining_table", "meeting_table")
 
 
@@ -23,6 +25,8 @@ def light(room: FurnishedRoom) -> None:
         if min(cell.width, cell.depth) < 0.8 or cell.area < 1.5:
             continue
         for middle in _grid(cell, spacing):
+            if any(math.dist(p.middle, middle) < _APART for p in room.parts if p.kind == "pendant_lamp"):
+                continue
             size = room.size(kind)
             part = Part(kind, middle, 0.0, size, round(room.height - size[2], 4))
             if room.place([part]):

@@ -11,8 +11,8 @@ from gibson_sim.making.planning.rectangles import Rect, around
 from gibson_sim.making.planning.rooms import Gate
 from gibson_sim.making.planning.space import FurnishedRoom, Part
 
-_ENTRY = 2.1
-"""Floor without gondolas behind the front, metres."""
+_SPARE = 0.4
+"""Behind the front, in addition to shelf and aisle, metres."""
 
 
 def furnish_shop(room: FurnishedRoom) -> bool:
@@ -20,7 +20,7 @@ def furnish_shop(room: FurnishedRoom) -> bool:
     entrance = next(gate for gate in room.view.gates if not gate.other_room)
     if not _put_till(room, entrance) or not by_wall(room, "display_fridge", near_corner(room, 1.8)):
         return False
-    aisle = round(float(room.rng.uniform(1.2, 1.5)), 2)
+    aisle = round(float(room.rng.uniform(1.15, 1.35)), 2)
     if not _put_gondolas(room, entrance, aisle):
         return False
     _line_walls(room)
@@ -64,27 +64,40 @@ def _put_till(room: FurnishedRoom, entrance: Gate) -> bool:
 
 def _put_gondolas(room: FurnishedRoom, entrance: Gate, aisle: float) -> int:
     """Fills the middle of the largest part of the room with rows of gondolas; returns how many."""
-    hall = _behind_front(max(room.view.cells, key=lambda c: c.area), entrance)
-    # Shelves of half a metre stand along the walls, with an aisle before them.
-    inner = hall.grown(-0.5 - aisle)
+    # Shelves stand along the walls, with an aisle before them.
+    inner = _behind_front(_largest(room), entrance).grown(-0.47 - aisle)
     depth, _, height = room.size("gondola")
-    lengthwise = room.rng.random() < 0.6
-    upright = (entrance.face.normal[1] != 0) == lengthwise
+    upright, rows, each, length = max(
+        (_rows(inner, upright, depth, aisle) for upright in (True, False)), key=lambda found: found[1] * found[2] * found[3]
+    )
     across, along = (inner.width, inner.depth) if upright else (inner.depth, inner.width)
-    rows = int((across + aisle) / (depth + aisle) + 1e-6)
-    if along < 2.0 or rows < 1:
-        return 0
-    each = 1 if along <= 4.0 else 2
-    gap = 0.0 if along <= 5.0 else aisle
-    length = round(min(4.0, (along - (each - 1) * gap) / each), 2)
-    pitch = across / rows if rows == 1 else (across - depth) / (rows - 1)
+    gap = aisle if each * (length + aisle) - aisle <= along + 1e-6 else 0.0
+    pitch = (across - depth) / (rows - 1) if rows > 1 else 0.0
     count = 0
     for row in range(rows):
-        off = across / 2 if rows == 1 else depth / 2 + row * pitch
+        off = depth / 2 + row * pitch if rows > 1 else across / 2
         for n in range(each):
             at = along / 2 + (n - (each - 1) / 2) * (length + gap)
             count += _put_gondola(room, inner, upright, off, at, (depth, length, height), aisle)
     return count
+
+
+def _rows(inner: Rect, upright: bool, depth: float, aisle: float) -> tuple[bool, int, int, float]:
+    """Returns how gondolas fill a rectangle: the direction that was asked for, rows, gondolas in a row, length of each."""
+    across, along = (inner.width, inner.depth) if upright else (inner.depth, inner.width)
+    rows = max(0, int((across + aisle) / (depth + aisle) + 1e-6))
+    each = 1 if along <= 4.0 else 2
+    gap = aisle if along > 5.0 else 0.0
+    length = round(min(4.0, (along - (each - 1) * gap) / each) - 0.005, 2)
+    return upright, rows if length >= 2.0 else 0, each, length
+
+
+def _largest(room: FurnishedRoom) -> Rect:
+    """Returns the largest rectangle within the walls."""
+    cells = room.view.cells
+    xs, ys = sorted({x for c in cells for x in (c.x0, c.x1)}), sorted({y for c in cells for y in (c.y0, c.y1)})
+    rects = (Rect(x0, y0, x1, y1) for x0 in xs for x1 in xs for y0 in ys for y1 in ys if x0 < x1 and y0 < y1)
+    return max((r for r in rects if room.view.holds(r)), key=lambda r: r.area)
 
 
 def _put_gondola(
@@ -106,7 +119,9 @@ def _put_gondola(
 def _behind_front(hall: Rect, entrance: Gate) -> Rect:
     """Returns a room without a stretch behind its front."""
     x, y = entrance.face.normal
-    spare = _ENTRY - 1.7
     return Rect(
-        hall.x0 + spare * max(x, 0.0), hall.y0 + spare * max(y, 0.0), hall.x1 + spare * min(x, 0.0), hall.y1 + spare * min(y, 0.0)
+        hall.x0 + _SPARE * max(x, 0.0),
+        hall.y0 + _SPARE * max(y, 0.0),
+        hall.x1 + _SPARE * min(x, 0.0),
+        hall.y1 + _SPARE * min(y, 0.0),
     )
