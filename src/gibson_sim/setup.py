@@ -54,6 +54,8 @@ setup(
         "lerobot": ["pyarrow>=15"],
         "analysis": ["matplotlib>=3.8"],
         "authoring": ["bpy"],
+        "collision": ["coacd>=1.0.7"],
+        "usd": ["usd-core>=24.8"],
         "scanning": ["open3d-cpu>=0.19; platform_machine == 'x86_64'", "open3d>=0.19; platform_machine != 'x86_64'"],
     },
     data_files=[

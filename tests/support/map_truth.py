@@ -32,14 +32,14 @@ def agreement(floor: FloorMap, robot_height: float, cast: CastRays, *, cells: in
     shares = []
     for chosen, hit_is_right in ((np.argwhere(floor.free), False), (np.argwhere(floor.occupied), True)):
         some = chosen[rng.choice(len(chosen), min(cells, len(chosen)), replace=False)]
-        hits = _anything_in(floor.centers(some), floor, robot_height, cast)
+        hits = _anything_in(floor.centers(some), floor, robot_height, cast, 1.004 if hit_is_right else 0.996)
         shares.append(float((hits == hit_is_right).mean()))
     return shares[0], shares[1]
 
 
-def _anything_in(centers: F64, floor: FloorMap, robot_height: float, cast: CastRays) -> NDArray[np.bool_]:
-    """Returns whether rays through cells (N, 2) hit anything, (N,)."""
-    half = floor.resolution / 2 * 0.998
+def _anything_in(centers: F64, floor: FloorMap, robot_height: float, cast: CastRays, part: float) -> NDArray[np.bool_]:
+    """Returns whether rays through ``part`` of the width of cells (N, 2) hit anything, (N,); what lies on a border is in one cell alone."""
+    half = floor.resolution / 2 * part
     low, high = floor.floor_z + FLOOR_CLEARANCE + 1e-3, floor.floor_z + robot_height - 1e-3
     starts, ends = [], []
     for z in np.linspace(low, high, HEIGHTS):

@@ -72,7 +72,9 @@ def test_link_with_its_own_rolling_friction_is_a_group_of_its_own_and_keeps_it_f
 
 def test_root_that_nothing_moves_needs_no_mass(tmp_path: Path) -> None:
     model = read_urdf(write(tmp_path, MASS.format(kg=1, i=0.1), "continuous"))
-    massless = replace(model, links=(replace(model.links[0], name="root"), replace(model.links[1], inertial=None), model.links[2]))
+    massless = replace(
+        model, links=(replace(model.links[0], name="root"), replace(model.links[1], inertial=None), model.links[2])
+    )
     assert "has no mass" in rigid_groups(massless)[1][0]
     assert rigid_groups(massless, fixed_root=True)[1] == ()
 

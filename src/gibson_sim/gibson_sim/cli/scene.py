@@ -6,6 +6,7 @@ from types import ModuleType
 from typing import Any
 
 from gibson_sim.cli import (
+    scene_collision,
     scene_fetch,
     scene_generate,
     scene_import,
@@ -16,7 +17,17 @@ from gibson_sim.cli import (
     scene_view,
 )
 
-_COMMANDS: tuple[ModuleType, ...] = (scene_fetch, scene_generate, scene_import, scene_inspect, scene_map, scene_objects, scene_scan, scene_view)
+_COMMANDS: tuple[ModuleType, ...] = (
+    scene_collision,
+    scene_fetch,
+    scene_generate,
+    scene_import,
+    scene_inspect,
+    scene_map,
+    scene_objects,
+    scene_scan,
+    scene_view,
+)
 
 
 def add_parser(subparsers: Any) -> None:

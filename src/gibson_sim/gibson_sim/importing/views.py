@@ -30,9 +30,10 @@ CUT_HEIGHT = 2.1
 ROBOT_RADIUS, ROBOT_HEIGHT = 0.2, 0.5
 _COLUMNS, _GAP, _CAPTION = 3, 6, 22
 _PAPER, _INK = 250, (50, 50, 50)
-_HEADINGS = 24
+_PLACES, _HEADINGS = 15, 8
+_FAR_ENOUGH, _APART = 5.0, 2.0
+"""Metres: of what is seen, and between views."""
 _FREE, _OCCUPIED, _UNKNOWN = (255, 255, 255), (40, 40, 40), (178, 178, 178)
-_STEP = 0.1
 
 
 def contact_sheet(scene: SceneSpec, views: int, *, floor_z: float | None = None) -> Rgb:
@@ -48,16 +49,16 @@ def contact_sheet(scene: SceneSpec, views: int, *, floor_z: float | None = None)
     """
     level = scene if floor_z is None else replace(scene, floor_z=floor_z)
     floor = scene_floor_map(level, robot_height=ROBOT_HEIGHT)
-    places = free_places(floor, views)
-    if not len(places):
+    candidates = free_places(floor, _PLACES)
+    if not len(candidates):
         raise SceneError(
             f"scene {scene.name!r}: nothing is free on the floor at z = {level.floor_z:.2f} m; look at `gibson-sim scene check`"
         )
-    yaws = [_open_heading(floor, place) for place in places]
-    eyes = [_eye(x, y, level.floor_z + EYE_HEIGHT, yaw) for (x, y), yaw in zip(places.tolist(), yaws, strict=True)]
     overview = _from_above(level)
     with Renderer(drawn_scene(replace(scene, robots=(), bodies=()), ()), cache=default_folder()) as renderer:
         state = SceneState(0, 0, scene.revision, (), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6)))
+        places, yaws = _best(renderer, state, candidates, level.floor_z + EYE_HEIGHT, views)
+        eyes = [_eye(x, y, level.floor_z + EYE_HEIGHT, yaw) for (x, y), yaw in zip(places.tolist(), yaws, strict=True)]
         pictures = [renderer.render(state, [camera])[0].rgb for camera in (*eyes, overview)]
     named = [
         (f"view {k + 1} at {x:.1f}, {y:.1f}", p) for k, ((x, y), p) in enumerate(zip(places.tolist(), pictures, strict=False))
@@ -68,10 +69,15 @@ def contact_sheet(scene: SceneSpec, views: int, *, floor_z: float | None = None)
 
 
 def free_places(floor: FloorMap, count: int) -> F64:
-    """Returns world x, y, (N, 2), of free places far from each other: the most open one first."""
-    region = floor.largest_free_region(ROBOT_RADIUS)
+    """Returns world x, y, (N, 2), of free places far from each other, two thirds of them in the largest free region."""
+    inside = _spread(floor, floor.largest_free_region(ROBOT_RADIUS), count - count // 3)
+    return np.concatenate([inside, _spread(floor, floor.inflate(ROBOT_RADIUS), count // 3)])
+
+
+def _spread(floor: FloorMap, region: NDArray[np.bool_], count: int) -> F64:
+    """Returns places of a region, the most open one first, then always the one farthest from all before."""
     cells = np.argwhere(region)
-    if not len(cells):
+    if not len(cells) or not count:
         return np.zeros((0, 2))
     room = floor.distance_to_obstacle[tuple(cells.T)]
     points = floor.centers(cells)
@@ -86,19 +92,34 @@ def free_places(floor: FloorMap, count: int) -> F64:
     return points[chosen]
 
 
-def _open_heading(floor: FloorMap, place: F64) -> float:
-    """Returns the heading, radians, in whose field of view most floor lies free before something stands there."""
-    headings = np.arange(_HEADINGS) * 2 * math.pi / _HEADINGS
-    reach = np.arange(1, 80) * _STEP
-    points = place + reach[None, :, None] * np.stack([np.cos(headings), np.sin(headings)], axis=1)[:, None, :]
-    cells = floor.cells(points)
-    inside = np.asarray(((cells >= 0) & (cells < np.array(floor.shape))).all(axis=-1))
-    safe = np.where(inside[..., None], cells, 0)
-    free = inside & floor.free[safe[..., 0], safe[..., 1]]
-    run = np.cumprod(free, axis=1).sum(axis=1)
-    width = _HEADINGS // 6
-    wide = sum(np.roll(run, k) for k in range(-width // 2, width // 2 + 1))
-    return float(headings[int(np.argmax(wide))])
+def _best(renderer: Renderer, state: SceneState, places: F64, z: float, count: int) -> tuple[F64, list[float]]:
+    """Returns places (N, 2) and headings from which much of the scene is seen, and not from too near, far from each other.
+
+    Each candidate is drawn as a stamp: what its depth says is what a person would see.
+    """
+    # Along none of the walls, which mostly lie along x and y.
+    headings = ((np.arange(_HEADINGS) + 0.4) * 2 * math.pi / _HEADINGS).tolist()
+    at = np.repeat(places, _HEADINGS, axis=0)
+    yaws = np.tile(headings, len(places))
+    worth = np.zeros(len(at))
+    for k, ((x, y), yaw) in enumerate(zip(at.tolist(), yaws.tolist(), strict=True)):
+        stamp = replace(_eye(x, y, z, yaw), width=WIDTH // 10, height=HEIGHT // 10, outputs=("depth",), samples=1)
+        depth = renderer.render(state, [stamp])[0].depth
+        assert depth is not None
+        seen = np.isfinite(depth)
+        if seen.any():
+            # Things stand before walls where the depth varies; a view along a wall or at one shows neither.
+            far, varied = float(np.median(depth[seen])), float(np.std(np.minimum(depth[seen], 2 * _FAR_ENOUGH)))
+            worth[k] = float(seen.mean()) * min(far / _FAR_ENOUGH, 1.0) * (0.5 + min(varied, 1.0))
+    chosen: list[int] = []
+    apart = np.ones(len(at))
+    while len(chosen) < count:
+        chosen.append(int((worth * apart).argmax()))
+        distance = np.linalg.norm(at - at[chosen[-1]], axis=1)
+        turn = np.abs((yaws - yaws[chosen[-1]] + math.pi) % (2 * math.pi) - math.pi)
+        # From the same place, the other way is another picture too.
+        apart = np.minimum(apart, np.clip(distance / _APART + 0.25 * turn / math.pi, 0.01, 1.0))
+    return at[chosen], [float(yaws[k]) for k in chosen]
 
 
 def _eye(x: float, y: float, z: float, yaw: float) -> CameraSpec:

@@ -69,6 +69,8 @@ _RAYS_PER_CALL = 16_000
 _VERTEX_LIMIT = 131_000
 """Vertices of one collision shape; PyBullet refuses arrays above 131,072 vertices or 524,288 indices."""
 _TRIANGLE_LIMIT = 174_000
+_VOXELS = 50_000
+"""That V-HACD cuts a mesh into."""
 _FIRST_RAY_BIT = 6
 _SLEEP_THRESHOLD = 2.5e-5
 """Sum of the squares of all speeds (m/s, rad/s) of a body below which it falls asleep after 2 s: a few millimetres a second."""
@@ -462,7 +464,7 @@ def convex_parts(
             file.writelines(f"v {x!r} {y!r} {z!r}\n" for x, y, z in vertices.tolist())
             file.writelines(f"f {a} {b} {c}\n" for a, b, c in (triangles + 1).tolist())
         with _quiet():
-            p.vhacd(str(whole), str(parts), str(Path(folder, "log.txt")), resolution=100_000)
+            p.vhacd(str(whole), str(parts), str(Path(folder, "log.txt")), resolution=_VOXELS)
         lines = parts.read_text(encoding="ascii").splitlines() if parts.is_file() else []
     points = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], dtype=np.float64).reshape(-1, 3)
     out, faces = [], []

@@ -35,7 +35,9 @@ def apply_look(material: Material, look: Look) -> Material:
 
 def is_drawn(material: Material, look: Look | None) -> bool:
     """Whether a look changes more than ``apply_look`` says: the renderer has to tint a texture, or to draw a pattern."""
-    return look is not None and (look.pattern is not None or (look.is_tint and (material.texture is not None or material.colored)))
+    return look is not None and (
+        look.pattern is not None or (look.is_tint and (material.texture is not None or material.colored))
+    )
 
 
 def tint_matrix(look: Look) -> F64:

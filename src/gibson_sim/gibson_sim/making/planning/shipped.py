@@ -30,7 +30,7 @@ SHIPPED: tuple[Design, ...] = (
     Design("courtyard_flat", "flat", 36, "Flat in two wings, oak floors, a study"),
     Design("boulevard_flat", "flat", 11, "Large flat along a corridor, parquet, a study, two bedrooms"),
     Design("orchard_house", "house", 1, "House with a stair in its middle, oak floors, three bedrooms, a study"),
-    Design("mill_house", "house", 3, "Narrow house with a stair along one side, pine floors, two bedrooms"),
+    Design("mill_house", "house", 10, "Narrow house with a stair along one side, pine floors, a sliding door, two bedrooms"),
     Design("garden_house", "house", 0, "House with a stair in its middle, walnut floors, three bedrooms, a guest room"),
     Design("print_works_office", "office", 0, "Open plan office with a meeting room"),
     Design("river_office", "office", 1, "Single offices along a corridor, a meeting room"),

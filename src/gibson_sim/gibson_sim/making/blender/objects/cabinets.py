@@ -78,7 +78,7 @@ def _cabinet_door(part: Part, side: int) -> None:
 
 
 def _fridge_body(part: Part) -> None:
-    steel = Paint((0.70, 0.71, 0.72), metallic=0.35, roughness=0.42)
+    steel = Paint((0.78, 0.79, 0.80), metallic=0.12, roughness=0.42)
     x0, x1, y, z0, z1, wall = -0.34, 0.25, 0.3, 0.02, 1.78, 0.04
     part.box((x0, -y, z0), (x0 + 0.01, y, z1), DARK_STEEL, 0.002, 1)
     for side in (-1, 1):
@@ -107,7 +107,7 @@ def _fridge_body(part: Part) -> None:
 
 def _fridge_door(part: Part) -> None:
     """The origin is the edge at the hinge (-y), on the floor."""
-    steel = Paint((0.74, 0.75, 0.76), metallic=0.4, roughness=0.36)
+    steel = Paint((0.82, 0.83, 0.84), metallic=0.15, roughness=0.36)
     part.box((0.012, 0.002, 0.045), (0.06, 0.598, 1.775), steel, 0.006, 3)
     part.box((0.004, 0.012, 0.055), (0.012, 0.588, 1.765), WHITE, 0.002, 1)
     part.box((0.0, 0.018, 0.061), (0.006, 0.582, 1.759), Paint((0.55, 0.56, 0.57), roughness=0.8), 0.002, 1)

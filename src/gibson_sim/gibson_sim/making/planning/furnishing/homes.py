@@ -118,7 +118,8 @@ def _put_sofa(room: FurnishedRoom) -> bool:
                         Part("sofa", face.point(along, off), yaw, sofa),
                         Part("coffee_table", face.point(along, off - sofa[0] / 2 - _REACH - table[0] / 2), face.yaw, table),
                     ],
-                    [stand.front(_LOOK)],
+                    # Nothing comes between the two.
+                    [stand.front(gap - _REACH - table[0] - 0.02)],
                 )
 
     placed = room.place_first(groups())
