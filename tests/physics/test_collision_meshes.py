@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
-from gibson_sim.physics.bullet import convex_parts
+from gibson_sim.physics import bullet
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.spec import RobotSpec, Shape
+from gibson_sim.scenes.collision import scan as scan_module
 from gibson_sim.scenes.collision.parts import scan_shapes
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
 from gibson_sim.types import Pose, VelocityCommand
@@ -29,7 +30,9 @@ def scan(tmp_path_factory: pytest.TempPathFactory) -> tuple[Shapes, Shapes, NDAr
     folder = tmp_path_factory.mktemp("scan")
     vertices, triangles = noisy_room(edge=0.1)
     full = ((write_mesh(folder / "full.obj", vertices, triangles), Pose()),)
-    return full, scan_shapes(vertices, triangles, "room", folder=folder / "cache"), vertices
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scan_module, "_SAMPLES", 8_000)
+        return full, scan_shapes(vertices, triangles, "room", folder=folder / "cache"), vertices
 
 
 @pytest.mark.parametrize(("kind", "sizes"), [(SPHERE, (0.1, 0.2, 0.3)), (BOX, (0.2, 0.35, 0.5))], ids=["spheres", "boxes"])
@@ -37,7 +40,7 @@ def test_98_percent_of_probes_touch_both_or_neither(
     scan: tuple[Shapes, Shapes, NDArray[np.float64]], kind: str, sizes: tuple[float, ...]
 ) -> None:
     full, simple, vertices = scan
-    places = random_places(vertices, 1500, np.random.default_rng(0))
+    places = random_places(vertices, 1000, np.random.default_rng(0))
     one, other = (verdicts(shapes, places, sizes, kind) for shapes in (full, simple))
     assert 0.2 < one.mean() < 0.5
     assert (one == other).mean() > 0.98
@@ -81,11 +84,12 @@ def test_step_still_stops_the_robot(scan: tuple[Shapes, Shapes, NDArray[np.float
     assert z < STEP / 2
 
 
-def test_v_hacd_fills_a_concave_object_with_convex_parts() -> None:
+def test_v_hacd_fills_a_concave_object_with_convex_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     corners = ((0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2))
     points = np.array([(x, y, z) for z in (0, 1) for x, y in corners], dtype=np.float64)
     sides = [t for a in range(6) for b in [(a + 1) % 6] for t in ((a, b, b + 6), (a, b + 6, a + 6))]
     lids = [(0, 2, 1), (0, 3, 2), (0, 4, 3), (0, 5, 4), (6, 7, 8), (6, 8, 9), (6, 9, 10), (6, 10, 11)]
-    parts = convex_parts(points, np.array(sides + lids))
+    monkeypatch.setattr(bullet, "_VOXELS", 10_000)
+    parts = bullet.convex_parts(points, np.array(sides + lids))
     assert len(parts) >= 2
     assert sum(ConvexHull(vertices).volume for vertices, _ in parts) == pytest.approx(3.0, rel=0.1)

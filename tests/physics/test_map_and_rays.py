@@ -29,7 +29,7 @@ def _for_a_robot(scene: SceneSpec) -> FloorMap:
 def test_free_and_occupied_cells_of_the_flat_agree_with_rays(root: Path, make_map: Callable[[SceneSpec], FloorMap]) -> None:
     scene = load_scene(root / "scenes/flat")
     with PhysicsWorld(scene) as world:
-        free, occupied = agreement(make_map(scene), HEIGHT, world.cast_rays, cells=250)
+        free, occupied = agreement(make_map(scene), HEIGHT, world.cast_rays, cells=150)
     assert free > 0.99
     assert occupied > 0.97
 
@@ -37,6 +37,6 @@ def test_free_and_occupied_cells_of_the_flat_agree_with_rays(root: Path, make_ma
 def test_free_cells_of_a_real_house_agree_with_rays(data_dir: Path) -> None:
     scene = load_scene(data_dir / "aws_small_house")
     with PhysicsWorld(scene) as world:
-        free, occupied = agreement(_published(scene), HEIGHT, world.cast_rays, cells=250)
+        free, occupied = agreement(_published(scene), HEIGHT, world.cast_rays, cells=150)
     assert free > 0.99
     assert occupied > 0.97

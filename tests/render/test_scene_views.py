@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gibson_sim.importing.views import HEIGHT, WIDTH, contact_sheet, free_places
+from gibson_sim.importing import views as module
+from gibson_sim.importing.views import contact_sheet, free_places
 from gibson_sim.scenes.floor_map import scene_floor_map
 from gibson_sim.scenes.load import load_scene
 from support.scenes import write_room
@@ -17,13 +18,16 @@ pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
 
 def test_a_sheet_has_views_a_cut_from_above_and_the_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    width, height = 160, 120
+    for name, value in (("WIDTH", width), ("HEIGHT", height), ("_PLACES", 3)):
+        monkeypatch.setattr(module, name, value)
     # A red roof, which the picture from above must not show.
     roof = "  - {name: roof, box: [4.0, 4.0, 0.1], pose: {xyz: [0, 0, 2.5]}, color: [1.0, 0.0, 0.0]}\n"
     floor = "  - {name: floor, box: [4.0, 4.0, 0.1], pose: {xyz: [0, 0, -0.05]}, color: [0.0, 0.0, 1.0]}\n"
     sheet = contact_sheet(load_scene(write_room(tmp_path / "room", roof + floor)), 1)
-    views = [sheet[6 : 6 + HEIGHT, left : left + WIDTH] for left in (6, 12 + WIDTH, 18 + 2 * WIDTH)]
+    views = [sheet[6 : 6 + height, left : left + width] for left in (6, 12 + width, 18 + 2 * width)]
     assert views[0].std() > 10
-    middle = views[1][HEIGHT // 2, WIDTH // 2].astype(int)
+    middle = views[1][height // 2, width // 2].astype(int)
     assert middle[2] > middle[0] + 50
     # Walls dark, floor white.
     assert {tuple(c) for c in np.unique(views[2].reshape(-1, 3), axis=0).tolist()} >= {(255, 255, 255), (40, 40, 40)}

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gibson_sim.render.batches import Batches, build_batches
+from gibson_sim.render.clusters import build_clusters
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.robots.spec import Look, VisualSpec
-from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart
+from gibson_sim.scenes.mesh_types import Material, Mesh
 from render.drawing import EYE, draw_mesh, facing_quad, loader_of, mesh_visual, scene, state
 from support.surfaces import bumpy_grid
 
@@ -28,13 +28,6 @@ def colored_quad(colors, material: Material = WHITE) -> Mesh:
 def seen(mesh: Mesh, visual: VisualSpec) -> np.ndarray:
     with Renderer(scene(visual), loader=loader_of(mesh)) as renderer:
         return renderer.render(state(), [EYE])[0].rgb[32, 32].astype(int)
-
-
-def drawn(b: Batches, error: float) -> int:
-    """Returns the triangles that are drawn where an error of so many metres is accepted."""
-    fine = np.where(b.chunk_group < 0, True, b.group_error[b.chunk_group] <= error)
-    coarse = np.where(b.chunk_next_group < 0, False, b.group_error[b.chunk_next_group] <= error)
-    return int(b.chunk_count[fine & ~coarse].sum()) // 3
 
 
 def test_a_corner_has_its_colour():
@@ -69,11 +62,15 @@ def test_a_tint_turns_them():
 
 
 def test_coarser_levels_keep_the_borders_of_colours():
-    part = bumpy_grid(170, height=0.02)
-    colors = np.zeros((len(part.vertices), 3), dtype=np.uint8)
-    colors[part.vertices[:, 0] > np.median(part.vertices[:, 0])] = 255
-    batches = [
-        build_batches([mesh_visual()], (), loader_of(mesh))
-        for mesh in (Mesh((MeshPart(part.vertices, part.normals, None, part.triangles, WHITE, c),)) for c in (colors, 0 * colors))
-    ]
-    assert drawn(batches[0], 0.02) > 2 * drawn(batches[1], 0.02)
+    part = bumpy_grid(60, height=0.02)
+    colors = (part.vertices[:, :1] > 0.0).astype(np.float32).repeat(3, axis=1)
+
+    def drawn(colors: np.ndarray | None) -> int:
+        """Returns the triangles that are left where an error of 2 cm is accepted."""
+        nothing = np.zeros((len(part.vertices), 2), dtype=np.float32)
+        c = build_clusters(part.vertices, part.normals, nothing, part.triangles.astype(np.int64), 256, colors=colors)
+        error = np.append(c.group_error, np.inf)
+        rows = ((c.group < 0) | (error[c.group] <= 0.02)) & (error[c.next_group] > 0.02)
+        return int(np.diff(c.ends, prepend=0)[rows].sum())
+
+    assert drawn(colors) > 2 * drawn(None)

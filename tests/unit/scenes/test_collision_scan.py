@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_sim.errors import MeshError, SceneError
-from gibson_sim.scenes.collision import parts
+from gibson_sim.scenes.collision import parts, scan as scan_module
 from gibson_sim.scenes.collision.cache import RECORD, default_folder
 from gibson_sim.scenes.collision.parts import convex_parts, scan_shapes
 from gibson_sim.scenes.collision.planes import flatten_floors
@@ -25,12 +25,14 @@ Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]
 
 @pytest.fixture(scope="module")
 def scan() -> Mesh:
-    return noisy_room(edge=0.08)
+    return noisy_room(edge=0.1)
 
 
 @pytest.fixture(scope="module")
 def simple(scan: Mesh) -> SimplifiedScan:
-    return simplify_scan(*scan)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scan_module, "_SAMPLES", 8_000)
+        return simplify_scan(*scan)
 
 
 def test_floor_and_stage_become_level_planes_at_their_heights(simple: SimplifiedScan) -> None:

@@ -23,7 +23,7 @@ _PRUNE = 8
 """meshopt_SimplifyPrune: specks smaller than the error go."""
 _ROUNDS = 10
 _NEAREST = (4, 64)
-_DOUBTFUL = 0.015
+_DOUBTFUL = 0.02
 """Metres: points that seem farther off are compared with more triangles."""
 _AT_ONCE = 20_000
 
@@ -72,7 +72,7 @@ def sample(corners: F64, count: int, rng: np.random.Generator) -> tuple[F64, I64
     return np.asarray((1 - root) * a + root * (1 - v) * b + root * v * c), which
 
 
-def distances(points: F64, corners: F64, rng: np.random.Generator, density: float = 1_000.0) -> F64:
+def distances(points: F64, corners: F64, rng: np.random.Generator, density: float = 500.0) -> F64:
     """Returns metres from points (N, 3) to triangles (F, 3, 3), (N,); never too small, and exact for nearly all points.
 
     Each point is compared with the triangles of the nearest of ``density`` sample points for each square metre.
