@@ -16,7 +16,8 @@ from support.simulation import require
 
 PACKAGE_XML = ("src/gibson_sim/package.xml", "src/gibson_msgs/package.xml")
 PACKAGE_OF = {
-    "bmesh": "bpy", "cuda": "cuda-bindings", "cv2": "opencv-python-headless", "mathutils": "bpy", "pxr": "usd-core", "ruamel": "ruamel-yaml", "yaml": "PyYAML",
+    "bmesh": "bpy", "cuda": "cuda-bindings", "cv2": "opencv-python-headless", "mathutils": "bpy", "pxr": "usd-core",
+    "ruamel": "ruamel-yaml", "yaml": "PyYAML",
 }  # fmt: skip
 ROS_MODULES = {"rclpy", "ament_index_python", "launch", "launch_ros", "rpyutils"}
 EXACT = re.compile(r"[a-z0-9-]+==[0-9][0-9.]*(a[0-9]+)?( ; python_version (<|>=) \"3\.\d+\")?")
