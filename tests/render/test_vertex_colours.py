@@ -63,7 +63,8 @@ def test_a_tint_turns_them():
 
 def test_coarser_levels_keep_the_borders_of_colours():
     part = bumpy_grid(60, height=0.02)
-    colors = (part.vertices[:, :1] > 0.0).astype(np.float32).repeat(3, axis=1)
+    fields = np.floor(part.vertices[:, :2] / 0.5).sum(axis=1, keepdims=True) % 2
+    colors = fields.astype(np.float32).repeat(3, axis=1)
 
     def drawn(colors: np.ndarray | None) -> int:
         """Returns the triangles that are left where an error of 2 cm is accepted."""

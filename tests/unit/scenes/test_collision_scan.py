@@ -25,7 +25,7 @@ Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]
 
 @pytest.fixture(scope="module")
 def scan() -> Mesh:
-    return noisy_room(edge=0.1)
+    return noisy_room(edge=0.08)
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ import yaml
 from gibson_sim.cli.main import main
 from gibson_sim.scenes.floor_map import FloorMap
 from gibson_sim.scenes.maps.export import write_gibson_maps, write_nav2_map, write_picture
+from support.scenes import write_room
 
 
 @pytest.fixture
@@ -66,17 +67,19 @@ def test_picture_shows_y_up(floor: FloorMap, tmp_path: Path) -> None:
     assert read[2, 1].sum() < read[0, 1].sum()
 
 
-def test_command_writes_all_files_of_the_flat(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_writes_all_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    room = write_room(tmp_path / "room")
     with pytest.raises(SystemExit) as end:
-        main(["scene", "map", str(root / "scenes/flat"), "--output", str(tmp_path), "--resolution", "0.1", "--radius", "0.2"])
+        main(["scene", "map", str(room), "--output", str(tmp_path / "maps"), "--resolution", "0.1", "--radius", "0.2"])
     assert end.value.code == 0
-    names = {path.name for path in tmp_path.iterdir()}
+    names = {path.name for path in (tmp_path / "maps").iterdir()}
     assert names == {"map_0.pgm", "map_0.yaml", "map_0.png", "floor_trav_0.png", "floors.txt"}
     assert "0.00 m" in capsys.readouterr().out
 
 
-def test_floor_that_is_not_there_is_an_error(root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_floor_that_is_not_there_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    room = write_room(tmp_path / "room")
     with pytest.raises(SystemExit) as end:
-        main(["scene", "map", str(root / "scenes/flat"), "--output", str(tmp_path), "--floor", "2"])
+        main(["scene", "map", str(room), "--output", str(tmp_path / "maps"), "--floor", "2"])
     assert end.value.code != 0
-    assert "--floor is 2; the floors of flat are 0 at 0 m" in capsys.readouterr().err
+    assert "--floor is 2; the floors of tiny_room are 0 at 0 m" in capsys.readouterr().err

@@ -25,14 +25,14 @@ MAX_SIDE = 8192
 MAX_MEMORY_MB = 2048.0
 """Of all textures."""
 SCAN_FROM = 20_000
-"""A mesh of so many triangles that hangs together is looked at as a scan, whose holes are holes in walls."""
+"""A mesh of so many triangles, most of which hang together, is looked at as a scan, whose holes are holes in walls."""
 HOLE_FROM = 0.3
 """Rim of a hole that is told of, metres."""
 ROBOT_RADIUS, ROBOT_HEIGHT = 0.2, 0.5
 """Metres, of the robot that start poses must have room for."""
 _FLOOR_AREA = 1.0
 _INVERTED = 0.001
-_FAULTY = 0.0005
+_DEGENERATE, _MANY = 0.01, 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,25 +137,24 @@ def _meshes(geometry: Geometry) -> Iterator[Finding]:
 def _mesh(name: str, faults: MeshFaults, count: int) -> Iterator[Finding]:
     flat, inverted = int(faults.degenerate.sum()), int(faults.inverted.sum())
     if flat:
-        level: Level = "warning" if flat > _FAULTY * count and flat > 10 else "note"
+        level: Level = "warning" if flat > _DEGENERATE * count and flat >= _MANY else "note"
         yield Finding("degenerate", level, f"{name}: {flat} of {count} triangles have no area", "--fix leaves them out", True)
     if inverted:
         level = "warning" if inverted > _INVERTED * count else "note"
         text = f"{name}: {inverted} of {count} triangles are turned the other way round than their neighbours, or inside out"
         yield Finding("inverted", level, text, "--fix turns them", True)
-    scan = count >= SCAN_FROM
+    scan = count >= SCAN_FROM and faults.largest_piece > 0.5
     if faults.crowded_edges:
         level = "warning" if scan and faults.crowded_edges > 0.01 * count else "note"
         text = f"{name}: {faults.crowded_edges} edges belong to more than two triangles (non-manifold)"
         yield Finding("non-manifold", level, text, "harmless for driving; mend it before making convex parts of it")
     holes = [rim for rim in faults.holes if rim >= HOLE_FROM]
     if holes:
-        scanned = scan and faults.open_edges < 0.1 * count
         text = (
             f"{name}: {len(holes)} open rims of {HOLE_FROM} m and more, the longest {holes[0]:.1f} m, together {sum(holes):.1f} m"
         )
-        remedy = "lidars and cameras see through holes in walls; close them in a mesh editor, or scan again" if scanned else ""
-        yield Finding("holes", "warning" if scanned else "note", text, remedy)
+        remedy = "lidars and cameras see through holes in walls; close them in a mesh editor, or scan again" if scan else ""
+        yield Finding("holes", "warning" if scan else "note", text, remedy)
 
 
 def _textures(facts: SceneFacts) -> Iterator[Finding]:

@@ -41,6 +41,8 @@ class MeshFaults:
     """Edges whose two faces go round in different ways."""
     inverted: Bools
     """(F,): faces that go round otherwise than most of what they hang together with, and closed surfaces that are inside out."""
+    largest_piece: float
+    """Part of the faces, 0 to 1, that hang together in the largest piece: most of a scan does, and little of what was modelled."""
 
 
 def weld(vertices: F64) -> I64:
@@ -77,12 +79,19 @@ def find_faults(vertices: F64, triangles: NDArray[np.integer]) -> MeshFaults:
     lengths = np.linalg.norm(positions[ends[:, 0]] - positions[ends[:, 1]], axis=1)
     open_ = counts == 1
     pairs, alike = _pairs(inverse, counts, owner, forward)
+    pieces = _pieces(len(faces), pairs)
     inverted = np.zeros(len(triangles), dtype=bool)
-    inverted[faces] = _inverted(positions, corners[faces], pairs, alike)
+    inverted[faces] = _inverted(positions, corners[faces], pairs, alike, pieces)
     return MeshFaults(
-        degenerate, int(open_.sum()), float(lengths[open_].sum()), _rims(ends[open_], lengths[open_]),
-        int((counts > 2).sum()), int(alike.sum()), inverted,
-    )  # fmt: skip
+        degenerate=degenerate,
+        open_edges=int(open_.sum()),
+        open_length=float(lengths[open_].sum()),
+        holes=_rims(ends[open_], lengths[open_]),
+        crowded_edges=int((counts > 2).sum()),
+        wrong_edges=int(alike.sum()),
+        inverted=inverted,
+        largest_piece=float(np.bincount(pieces).max() / len(pieces)) if len(pieces) else 0.0,
+    )
 
 
 def _degenerate(vertices: F64, triangles: NDArray[np.integer], corners: I64) -> Bools:
@@ -124,7 +133,15 @@ def _rims(ends: I64, lengths: F64) -> tuple[float, ...]:
     return tuple(sorted((float(s) for s in sums), reverse=True))
 
 
-def _inverted(positions: F64, corners: I64, pairs: I64, alike: Bools) -> Bools:
+def _pieces(count: int, pairs: I64) -> I64:
+    """Returns for each face, (F,), the number of what it hangs together with over edges of two faces."""
+    ones = np.ones(len(pairs), dtype=np.int8)
+    graph = sparse.coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(count, count))
+    pieces: I64 = csgraph.connected_components(graph, directed=False)[1].astype(np.int64)
+    return pieces
+
+
+def _inverted(positions: F64, corners: I64, pairs: I64, alike: Bools, pieces: I64) -> Bools:
     """Returns (F,): faces to be turned round so that neighbours agree, and closed things are seen from outside."""
     count = len(corners)
     if not count:
@@ -135,9 +152,6 @@ def _inverted(positions: F64, corners: I64, pairs: I64, alike: Bools) -> Bools:
     other = np.concatenate([np.where(alike, b + count, b), np.where(alike, b, b + count)])
     graph = sparse.coo_matrix((np.ones(len(one), dtype=np.int8), (one, other)), shape=(2 * count, 2 * count))
     _, label = csgraph.connected_components(graph, directed=False)
-    pieces = csgraph.connected_components(
-        sparse.coo_matrix((np.ones(len(a), dtype=np.int8), (a, b)), shape=(count, count)), directed=False
-    )[1]
     points = positions[corners]
     areas = face_normals(points.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))[1]
     # A face belongs to the half that its piece's first face is in, or to the other one.

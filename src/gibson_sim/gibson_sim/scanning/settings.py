@@ -29,7 +29,9 @@ class TourSettings:
     path_spacing: float = setting(
         0.5, "Distance between views on the way from station to station; 0 = none there", unit="m", minimum=0.0, maximum=10.0
     )
-    pitches_deg: str = setting("-35,0,35", "Pitch of each camera of the rig, up is positive, as in --pitches-deg=-35,0,35", unit="deg")
+    pitches_deg: str = setting(
+        "-35,0,35", "Pitch of each camera of the rig, up is positive, as in --pitches-deg=-35,0,35", unit="deg"
+    )
     speed: float = setting(0.4, "Speed on the way; motion blur and drift depend on it", unit="m/s", minimum=0.01, maximum=10.0)
     turn_speed_deg: float = setting(30.0, "Speed of turns", unit="deg/s", minimum=1.0, maximum=360.0)
     wobble_deg: float = setting(
