@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from gibson_sim.cli.main import MODULE_OF
 from support.simulation import require
 
 HEAVY = ("rclpy", "pybullet", "moderngl", "torch")
@@ -46,3 +47,19 @@ def test_importing_the_package_loads_nothing_heavy() -> None:
     command = f"import gibson_sim, sys; print([name for name in {HEAVY} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_the_launcher_loads_neither_physics_nor_pictures() -> None:
+    told = "main(['run', '--scene', '/none', '--domain-id', 'x'])"
+    command = f"""import sys
+from gibson_sim.cli.main import main
+try: {told}
+except SystemExit: print([name for name in {(*HEAVY, "cv2", "scipy", "trimesh")} if name in sys.modules])"""
+    done = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+    assert "argument --domain-id: invalid int value" in done.stderr
+
+
+def test_help_names_every_command() -> None:
+    done = subprocess.run([sys.executable, "-m", "gibson_sim.cli.main", "--help"], capture_output=True, text=True, check=True)
+    assert {line.split()[0] for line in done.stdout.splitlines() if line.startswith("    ") and line.strip()} >= set(MODULE_OF)

@@ -15,7 +15,7 @@ from gibson_sim.importing.faults import find_faults
 from gibson_sim.importing.fix import Fix, fix_scene
 from gibson_sim.importing.gravity import guess_unit, guess_up, rotation_to_z
 from gibson_sim.scenes.mesh import MeshLoader, collision_triangles, scene_roots
-from support.interiors import SIZE, box_faces, room, triangles, turned, write_obj
+from support.interiors import SIZE, box_faces, room, triangles, turned, write_gibson_folder, write_obj
 from support.surfaces import bumpy_grid
 
 
@@ -179,6 +179,30 @@ def test_a_tilted_scan_in_centimetres_with_turned_faces_is_mended(tmp_path: Path
     assert mended.scene is not None
     assert len(collision_triangles(mended.scene)[1]) == 24
     assert file == tmp_path / "b" / "scene.yaml"
+
+
+def test_holes_count_in_a_scan_and_not_in_furniture(tmp_path: Path) -> None:
+    part = bumpy_grid(105, half=3.0, height=0.01)
+    corners, quads = room(furniture=False)
+    walls = corners * (1.0, 1.5, 1.0), triangles(quads[1:])
+    scan = np.concatenate([part.vertices, walls[0]]), np.concatenate([part.triangles.astype(int), walls[1] + len(part.vertices)])
+    loose = scan[0][scan[1]].reshape(-1, 3) * (1.0 + 1e-3 * np.random.default_rng(1).random((3 * len(scan[1]), 1)))
+    for name, (points, faces), level in (("a", scan, "warning"), ("b", (loose, np.arange(len(loose)).reshape(-1, 3)), "note")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "scan.stl").write_bytes(_stl(points[faces]))
+        assert _found(check_path(tmp_path / name)).get("holes", "note") == level
+
+
+def _stl(corners: np.ndarray) -> bytes:
+    facets = np.zeros(len(corners), dtype=[("n", "<f4", 3), ("c", "<f4", (3, 3)), ("a", "<u2")])
+    facets["c"] = corners
+    return bytes(80) + len(corners).to_bytes(4, "little") + facets.tobytes()
+
+
+def test_what_must_be_imported_first_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_gibson_folder(tmp_path / "Tiny")
+    assert _run("check", tmp_path / "Tiny") == 1
+    assert "is a Gibson folder; import it first" in capsys.readouterr().err
 
 
 def test_a_huge_texture_is_told_before_it_is_decoded_and_made_smaller(tmp_path: Path) -> None:

@@ -143,8 +143,9 @@ def _scene(folder: Path, line: str) -> Path:
 def test_scene_asks_for_it_in_a_word(simple: SimplifiedScan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(parts, "simplify_scan", lambda *_: simple)
-    (tmp_path / "room.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    scene = load_scene(_scene(tmp_path, "{name: room, mesh: room.obj, collision: simplified}"))
+    (tmp_path / "scan").mkdir()
+    (tmp_path / "scan/room.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    scene = load_scene(_scene(tmp_path / "scan", "{name: room, mesh: room.obj, collision: simplified}"))
     assert [v.name for v in scene.visuals] == ["room"]
     assert [c.name for c in scene.collisions] == ["room"] * (1 + len(simple.slabs))
     assert {c.shape.kind for c in scene.collisions[1:]} == {"box"}

@@ -13,7 +13,7 @@ from gibson_sim.cli.options import add_settings, node_arguments, settings_from_a
 from gibson_sim.config import DriveConfig, RecordConfig, SnapshotConfig
 
 
-def add_parsers(subparsers: Any) -> None:
+def add_parser(subparsers: Any) -> None:
     """Adds the three sub-commands."""
     drive = subparsers.add_parser("drive", help="drive the robot of a running simulation: tour, script or keyboard")
     drive.add_argument(

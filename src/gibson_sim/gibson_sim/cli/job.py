@@ -14,7 +14,6 @@ from typing import Any
 
 from gibson_sim.cli.environment import domain_of
 from gibson_sim.cli.exit_codes import ExitCode
-from gibson_sim.cli.pictures import write_pictures
 from gibson_sim.cli.processes import DomainLock, NodeProcess, StopRequest
 from gibson_sim.cli.report_file import write_json
 from gibson_sim.cli.shared_memory import remove_dead_segments
@@ -145,6 +144,8 @@ class JobRun:
             say(line)
             write_json(self._job.summary, {**found, "render_restarts": self._restarts})
         if self._job.video and self._job.bag and found["record"].get("messages"):
+            from gibson_sim.cli.pictures import write_pictures  # OpenCV and a video encoder with it
+
             for path in write_pictures(self._job.bag, self._job.video):
                 say(f"wrote {path}")
         if self._job.bag and not self._job.keep_bag:

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import argparse
 import sys
+from importlib import import_module
 
 from gibson_sim import __version__
-from gibson_sim.cli import bag, bench, clients, compare, doctor, env, export, gallery, params, render, replay, run, scene, top
 from gibson_sim.cli.exit_codes import ExitCode, table
 from gibson_sim.errors import AlreadyRunningError, GibsonSimError
 
+MODULE_OF = {
+    "run": "run", "drive": "clients", "record": "clients", "snapshot": "clients", "bag": "bag", "bench": "bench", "compare": "compare",
+    "doctor": "doctor", "env": "env", "export": "export", "gallery": "gallery", "params": "params", "render": "render", "replay": "replay",
+    "scene": "scene", "top": "top",
+}  # fmt: skip
+"""Sub-command -> module of this package that has it. Only that module is loaded: a launcher needs neither PyBullet nor OpenGL."""
 EPILOG = f"""\
 {table()}
 
@@ -23,8 +29,8 @@ first steps:
 
 def main(argv: list[str] | None = None) -> None:
     """Runs a sub-command and ends the process with its exit code; errors are one line on stderr."""
-    parser = _parser()
-    args = parser.parse_args(argv)
+    words = sys.argv[1:] if argv is None else argv
+    args = _parser(words[0] if words else "").parse_args(words)
     try:
         code = args.run(args)
     except AlreadyRunningError as error:
@@ -44,7 +50,8 @@ def _fail(error: GibsonSimError, code: ExitCode) -> ExitCode:
     return code
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(command: str) -> argparse.ArgumentParser:
+    """Returns the parser of a sub-command, or of all where it is none."""
     parser = argparse.ArgumentParser(
         prog="gibson-sim",
         description="A ROS 2 simulation server for indoor robots.",
@@ -53,10 +60,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"gibson-sim {__version__}")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    run.add_parser(subparsers)
-    clients.add_parsers(subparsers)
-    for command in (bag, bench, compare, doctor, env, export, gallery, params, render, replay, scene, top):
-        command.add_parser(subparsers)
+    for module in dict.fromkeys([MODULE_OF[command]] if command in MODULE_OF else MODULE_OF.values()):
+        import_module(f"gibson_sim.cli.{module}").add_parser(subparsers)
     return parser
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from gibson_sim.cli.exit_codes import ExitCode
 from gibson_sim.cli.scene_import import quiet, unit_m
-from gibson_sim.errors import ConfigError
+from gibson_sim.errors import ConfigError, SceneError
 
 if TYPE_CHECKING:
     from gibson_sim.importing.check import Report
@@ -42,8 +42,14 @@ def add_parser(subparsers: Any) -> None:
 
 def _report(scene: str) -> Report:
     from gibson_sim.importing.check import check_path
+    from gibson_sim.importing.sources import Kind, identify
 
     quiet()
+    path = Path(scene).expanduser()
+    if path.exists() and "/" in str(path):
+        kind = identify(path).kind
+        if kind in (Kind.GIBSON, Kind.REPLICA, Kind.USD, Kind.ARCHIVE):
+            raise SceneError(f"{scene}: is a {kind.value}; import it first: gibson-sim scene import {scene} --output DIR")
     return check_path(scene)
 
 

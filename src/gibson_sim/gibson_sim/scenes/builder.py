@@ -175,6 +175,9 @@ class SceneBuilder:
         unique = _unique(name, self._collision_names)
         vertices, triangles = self.loader.shape(shape).merged()
         for simple, pose in scan_shapes(transform_points(matrix, vertices), triangles, f"{self.name}: {unique}"):
+            if simple.kind == "mesh":
+                # It lies in the user's cache, where we have written it.
+                self.loader.roots = (*self.loader.roots, Path(simple.mesh).parent)
             self.collisions.append(CollisionSpec(unique, simple, pose))
 
     def finish(self) -> SceneSpec:
