@@ -13,6 +13,7 @@
       RenderError                  the renderer refused
         GraphicsUnavailableError   no EGL, no usable device
         SceneMismatchError         a state belongs to another scene than the one loaded
+      scanning.posed_rgbd.ScanError images of a scan cannot be read, written or fused
       RecordError                  a bag cannot be written or read
         bags.writer.DiskFullError  the disk is full; the bag holds everything up to there
       EnvironmentProblemError      ROS, Python or the machine lacks something; the text names the remedy

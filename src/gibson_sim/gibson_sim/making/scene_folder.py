@@ -23,6 +23,7 @@ ASSETS = "assets"
 OUTSIDE = "outside.jpg"
 LIMIT_BYTES = 12_000_000
 _GLASS_ALPHA = 0.16
+_NARROW_PX = 22
 _REFLECTED = 0.88
 """Part of the light that a mirror gives back."""
 _LICENSE = """CC0 1.0 Universal (Public Domain Dedication)
@@ -52,7 +53,7 @@ def write_scene_folder(building: Building, quality: Quality, work: Path, folder:
     assets.mkdir(parents=True, exist_ok=True)
     for old in [*assets.glob("*.glb"), *assets.glob("*.jpg")]:
         old.unlink()
-    _write_atlases(work, assets, sorted({int(k) for k in mesh["atlas"] if k >= 0}), quality)
+    _write_atlases(mesh, work, assets, sorted({int(k) for k in mesh["atlas"] if k >= 0}), quality)
     _write_image(assets / OUTSIDE, outside(building.seed), quality.jpeg)
     objects = _write_objects(mesh, assets)
     text = yaml.dump(
@@ -73,13 +74,14 @@ def _load(path: Path) -> dict[str, NDArray[Any]]:
         raise SceneError(f"{path}: cannot be read: {e}; bake the scene again") from e
 
 
-def _write_atlases(work: Path, assets: Path, atlases: Iterable[int], quality: Quality) -> None:
+def _write_atlases(mesh: dict[str, NDArray[Any]], work: Path, assets: Path, atlases: Iterable[int], quality: Quality) -> None:
     images = []
     for k in atlases:
         try:
             color, light = (np.load(work / f"{what}_{k}.npy").astype(np.float32) for what in ("color", "light"))
         except (OSError, ValueError) as e:
             raise SceneError(f"{work}: atlas {k} was not baked: {e}; start again, what is finished is kept") from e
+        calm_small_charts(light, mesh["charts"][mesh["charts"][:, 0] == k, 1:] / 2)
         image = compose(color, light)
         for uv, reflected in _mirrors(work, k):
             put_mirror(image, uv, reflected)
@@ -92,6 +94,26 @@ def _write_atlases(work: Path, assets: Path, atlases: Iterable[int], quality: Qu
 
 def _write_image(path: Path, rgb: NDArray[np.uint8], jpeg: int) -> None:
     cv2.imwrite(str(path), cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, jpeg])
+
+
+def calm_small_charts(light: F32, charts: NDArray[np.float64]) -> None:
+    """Smooths the light on narrow charts, along them: they hold too few pixels for the denoiser to go by.
+
+    Args:
+        light: (H, W, 4); the last channel is 1 where there is a surface; is changed.
+        charts: (C, 4): low corner and size of each chart, pixels.
+    """
+    for x, y, width, height in charts:
+        if min(width, height) >= _NARROW_PX:
+            continue
+        rows = slice(math.floor(y), math.ceil(y + height))
+        columns = slice(math.floor(x), math.ceil(x + width))
+        part = light[rows, columns]
+        known = (part[..., 3:] > 0.5).astype(np.float32)
+        across, along = min(1.2, min(width, height) / 6), 4.0
+        sigma_x, sigma_y = (along, across) if width >= height else (across, along)
+        mixed = cv2.GaussianBlur(np.concatenate([part[..., :3] * known, known], axis=2), (0, 0), sigma_x, None, sigma_y, cv2.BORDER_CONSTANT)
+        part[..., :3] = np.where(known > 0, mixed[..., :3] / np.maximum(mixed[..., 3:], 1e-3), part[..., :3])
 
 
 def _mirrors(work: Path, atlas: int) -> Iterable[tuple[NDArray[np.float64], F32]]:

@@ -48,6 +48,8 @@ class Assembly:
     """(B, 2, 3): low and high corners of what is bumped into, world."""
     box_owner: I64
     """(B,)."""
+    charts: F64
+    """(C, 5): number of the atlas, low corner and size of each chart, pixels."""
     density: float
     """Pixels per metre."""
 
@@ -56,7 +58,7 @@ class Assembly:
         np.savez_compressed(
             path, names=self.names, classes=self.classes, exported=self.exported, corners=self.corners.astype(np.float32),
             owner=self.owner, tint=self.tint.astype(np.float32), atlas=self.atlas, uv=self.uv.astype(np.float32),
-            boxes=self.boxes, box_owner=self.box_owner, patterns=self.patterns, pattern=self.pattern,
+            boxes=self.boxes, box_owner=self.box_owner, patterns=self.patterns, pattern=self.pattern, charts=self.charts,
         )  # fmt: skip
 
 
@@ -110,18 +112,18 @@ def assemble(building: Building, atlases: int, size_px: int) -> Assembly:
     bare = [patterns.index(p) for p in (*UNTEXTURED, "outside") if p in patterns]
     hidden = np.array([not t.exported for t in things])[table["owner"]]
     textured = ~np.isin(table["pattern"], bare) & ~hidden
-    atlas, uv, density = _place(table, textured, atlases, size_px)
+    atlas, uv, charts, density = _place(table, textured, atlases, size_px)
     boxes = [(low, high) for t in things for low, high in t.solid.boxes]
     return Assembly(
         [t.name for t in things], [t.semantic_class for t in things], [t.exported for t in things], patterns,
         table["corners"], table["owner"], table["pattern"], table["tint"], table["place"], atlas, uv,
-        np.array(boxes), np.array([k for k, t in enumerate(things) for _ in t.solid.boxes]), density,
+        np.array(boxes), np.array([k for k, t in enumerate(things) for _ in t.solid.boxes]), charts, density,
     )  # fmt: skip
 
 
 def _place(
     table: dict[str, NDArray[np.generic]], textured: NDArray[np.bool_], atlases: int, size_px: int
-) -> tuple[I64, F64, float]:
+) -> tuple[I64, F64, F64, float]:
     chart = np.asarray(np.unique(table["chart"][textured], return_inverse=True)[1]).reshape(-1)
     count = int(chart.max()) + 1
     uv_m = np.asarray(table["uv"][textured], dtype=float)
@@ -133,4 +135,5 @@ def _place(
     atlas[textured] = placement.atlas[chart]
     uv = np.zeros((len(textured), 3, 2))
     uv[textured] = place_corners(uv_m, chart, low, size, placement, size_px)
-    return atlas, uv, placement.density
+    charts = np.column_stack([placement.atlas, placement.low_px, placement.size_px])
+    return atlas, uv, charts, placement.density
