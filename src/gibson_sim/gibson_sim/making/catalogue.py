@@ -48,7 +48,9 @@ CATALOGUE: dict[str, Kind] = {
     "wall_cupboard": Kind("cabinet", (0.32, 0.36), (0.4, 2.4), (0.6, 0.75), "hangs", 0.0, (1.4, 1.5)),
     "kitchen_sink": Kind("counter", (0.6, 0.62), (0.8, 1.0), (0.9, 0.92), front=0.9),
     "stove": Kind("stove", (0.6, 0.62), (0.6, 0.6), (0.9, 0.92), front=0.9),
-    "hob": Kind("stove", (0.6, 0.62), (0.6, 0.6), (0.29, 0.31), "hangs", 0.9, (0.61, 0.61)),  # a worktop with a hob, over an ``oven_body``
+    "hob": Kind(
+        "stove", (0.6, 0.62), (0.6, 0.6), (0.29, 0.31), "hangs", 0.9, (0.61, 0.61)
+    ),  # a worktop with a hob, over an ``oven_body``
     "extractor_hood": Kind("hood", (0.45, 0.5), (0.6, 0.6), (0.7, 0.9), "hangs", 0.0, (1.55, 1.65)),
     "fridge": Kind("fridge", (0.62, 0.68), (0.6, 0.7), (1.75, 1.95), front=0.9),
     # Bedroom

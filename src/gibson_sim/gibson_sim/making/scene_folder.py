@@ -112,7 +112,9 @@ def calm_small_charts(light: F32, charts: NDArray[np.float64]) -> None:
         known = (part[..., 3:] > 0.5).astype(np.float32)
         across, along = min(1.2, min(width, height) / 6), 4.0
         sigma_x, sigma_y = (along, across) if width >= height else (across, along)
-        mixed = cv2.GaussianBlur(np.concatenate([part[..., :3] * known, known], axis=2), (0, 0), sigma_x, None, sigma_y, cv2.BORDER_CONSTANT)
+        mixed = cv2.GaussianBlur(
+            np.concatenate([part[..., :3] * known, known], axis=2), (0, 0), sigma_x, None, sigma_y, cv2.BORDER_CONSTANT
+        )
         part[..., :3] = np.where(known > 0, mixed[..., :3] / np.maximum(mixed[..., 3:], 1e-3), part[..., :3])
 
 

@@ -176,7 +176,9 @@ class _Work:
         self._attributes = np.ascontiguousarray(np.hstack([normals, uvs, *tints]), dtype=np.float32)
         # Errors of attributes count in the unit of positions: uvs as the distance that the texture slides over the surface.
         self._weights = np.array(
-            [NORMAL_WEIGHT_M] * 3 + [SLIDE_WEIGHT * _metres_per_uv(positions, uvs, triangles)] * 2 + [COLOR_WEIGHT_M] * 3 * len(tints),
+            [NORMAL_WEIGHT_M] * 3
+            + [SLIDE_WEIGHT * _metres_per_uv(positions, uvs, triangles)] * 2
+            + [COLOR_WEIGHT_M] * 3 * len(tints),
             dtype=np.float32,
         )
         # Vertices of one place, told apart by their attributes, move together.

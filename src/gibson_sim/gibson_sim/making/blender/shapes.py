@@ -161,7 +161,7 @@ class Solid:
         side = np.cross(tangent, helper)
         side /= np.linalg.norm(side, axis=1, keepdims=True)
         up = np.cross(tangent, side)
-        angle = np.arange(sides) * (-2 * np.pi / sides)
+        angle = np.arange(sides) * (2 * np.pi / sides)
         around = np.cos(angle)[None, :, None] * side[:, None] + np.sin(angle)[None, :, None] * up[:, None]
         rings = p[:, None] + around * radii[:, None, None]
         points = np.concatenate([np.tile(p[:1], (sides, 1)), rings.reshape(-1, 3), np.tile(p[-1:], (sides, 1))])
