@@ -20,14 +20,14 @@ from gibson_sim.making.blender.assembly import assemble
 from gibson_sim.making.blender.charts import BORDER_PX, place_charts
 from gibson_sim.making.blender.furniture import BUILDERS, build_piece
 from gibson_sim.making.blender.looks import LOOKS
-from gibson_sim.making.blender.shapes import Solid
+from gibson_sim.making.blender.shapes import Solid, Surface
 from gibson_sim.making.blender.shell import build_shell
 from gibson_sim.making.building import MATERIALS, Body, Building, Lamp, Opening, Piece, Room, Start, Storey, Wall
 from gibson_sim.making.building_file import QUALITIES, Quality, read_plan, write_plan
 from gibson_sim.making.catalogue import CATALOGUE
 from gibson_sim.making.glb import Paint, Patch, write_glb
 from gibson_sim.making.pixels import doubled, exposure_of, filled, toned
-from gibson_sim.making.scene_folder import put_mirror, write_scene_folder
+from gibson_sim.making.scene_folder import calm_small_charts, put_mirror, write_scene_folder
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.mesh import load_mesh
 
@@ -84,12 +84,28 @@ def test_the_same_seed_gives_the_same_piece_and_another_gives_another() -> None:
     assert len(other.parts) != len(first.parts)
 
 
-def test_the_faces_of_a_box_look_outwards() -> None:
-    solid = Solid(np.random.default_rng(0))
-    part = solid.box((0, 0, 0), (1, 2, 3), build_piece("rug", (1.4, 2.0, 0.01), 1).parts[0].surface)
-    corners = part.vertices[part.triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    assert (np.einsum("ij,ij->i", normals, corners.mean(axis=1) - [0.5, 1.0, 1.5]) > 0).all()
+def test_the_faces_of_all_shapes_look_outwards() -> None:
+    solid, plain = Solid(np.random.default_rng(0)), Surface("plain")
+    parts = {
+        "chamfered box": solid.box((0, 0, 0), (1, 2, 3), plain),
+        "sharp box": solid.box((0, 0, 0), (1, 2, 3), plain, 0.0),
+        "cushion": solid.cushion((0, 0, 0), (1, 2, 3), plain),
+        "tube": solid.tube([(0, 0, 0), (0, 0, 1), (1, 0, 1.5)], 0.1, plain),
+        "lathe": solid.lathe((0, 0, 0), [(0, 0), (1, 0), (1, 1), (0, 1)], plain),
+    }
+    for name, part in parts.items():
+        corners = part.vertices[part.triangles]
+        volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
+        assert volume > 0.04, name
+
+
+def test_light_on_a_narrow_chart_is_evened_out_and_leaves_its_neighbours_alone() -> None:
+    light = np.ones((40, 80, 4), dtype=np.float32)
+    light[5:9, 5:65:2, :3] = 3.0
+    before = light.copy()
+    calm_small_charts(light, np.array([[5.0, 5.0, 60.0, 4.0], [5.0, 12.0, 60.0, 26.0]]))
+    assert light[6, 15:55, 0].std() < 0.05 and light[6, 15:55, 0].mean() == pytest.approx(2.0, abs=0.05)
+    assert np.array_equal(light[9:], before[9:]) and np.array_equal(light[:5], before[:5])
 
 
 def test_walls_end_at_the_inner_corners_and_leave_their_openings_free() -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
@@ -17,6 +16,7 @@ from gibson_sim.bench.render_report import table
 from gibson_sim.bench.ros import Size, Spread
 from gibson_sim.cli.bench_processes import CAMERA, BenchError, answer, process, write_robot
 from gibson_sim.cli.environment import node_environment, require_nodes
+from gibson_sim.cli.quiet import quiet
 from gibson_sim.cli.report_file import add_report_options, write_json
 from gibson_sim.cli.shared_memory import remove_dead_segments
 
@@ -52,6 +52,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+@quiet()
 def measure(
     plan: LockstepPlan, *, domain_id: int | None = None, tell: Callable[[str], None] = lambda line: None
 ) -> LockstepReport:
@@ -62,7 +63,6 @@ def measure(
         domain_id: ROS domain; None = as the environment says.
         tell: is told in one line what is going on.
     """
-    logging.disable(logging.WARNING)
     environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **node_environment(domain_id=domain_id)}
     report = LockstepReport(timing.now(), timing.version(), timing.machine(), timing.cores(), timing.load(), plan.scene)
     cases: list[Case] = []

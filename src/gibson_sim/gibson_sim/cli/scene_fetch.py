@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.cli.exit_codes import ExitCode
-from gibson_sim.cli.scene_import import quiet
+from gibson_sim.cli.quiet import quiet
 from gibson_sim.errors import ConfigError
 
 
@@ -23,12 +23,12 @@ def add_parser(subparsers: Any) -> None:
     parser.set_defaults(run=_run)
 
 
+@quiet()
 def _run(args: argparse.Namespace) -> ExitCode:
     from gibson_sim.bags.progress import progress_bar
     from gibson_sim.importing.fetch import fetch_scene
     from gibson_sim.importing.recipes import known_recipes, load_recipe
 
-    quiet()
     if not args.name:
         for name in known_recipes():
             recipe = load_recipe(name)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import logging
 import sys
 from pathlib import Path
 from typing import Any
 
 from gibson_sim.cli.exit_codes import ExitCode
+from gibson_sim.cli.quiet import quiet
 from gibson_sim.errors import ConfigError
 
 
@@ -40,11 +40,6 @@ def add_choices(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-semantics", action="store_true", help="leave labels out; the scene is one object")
 
 
-def quiet() -> None:
-    """Keeps the log of warnings away: the command prints them itself."""
-    logging.getLogger("gibson_sim").setLevel(logging.ERROR)
-
-
 def unit_m(text: str | None) -> float | None:
     """Returns metres per unit, or None where nothing was said.
 
@@ -68,12 +63,12 @@ def unit_m(text: str | None) -> float | None:
     return value
 
 
+@quiet()
 def _run(args: argparse.Namespace) -> ExitCode:
     # Loaded here: the other sub-commands need no meshes.
     from gibson_sim.importing.facts import scene_facts
     from gibson_sim.importing.run import Choices, import_scene
 
-    quiet()
     choices = Choices(args.name, args.up_axis, unit_m(args.unit), not args.no_semantics)
     imported = import_scene(args.source, args.output, choices)
     for warning in imported.warnings:

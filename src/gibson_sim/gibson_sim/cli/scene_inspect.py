@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gibson_sim.cli.exit_codes import ExitCode
-from gibson_sim.cli.scene_import import quiet, unit_m
+from gibson_sim.cli.quiet import quiet
+from gibson_sim.cli.scene_import import unit_m
 from gibson_sim.errors import ConfigError, SceneError
 
 if TYPE_CHECKING:
@@ -40,11 +41,11 @@ def add_parser(subparsers: Any) -> None:
     check.set_defaults(run=_check)
 
 
+@quiet()
 def _report(scene: str) -> Report:
     from gibson_sim.importing.check import check_path
     from gibson_sim.importing.sources import Kind, identify
 
-    quiet()
     path = Path(scene).expanduser()
     if path.exists() and "/" in str(path):
         kind = identify(path).kind

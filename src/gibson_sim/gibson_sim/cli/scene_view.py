@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 
 from gibson_sim.cli.exit_codes import ExitCode
-from gibson_sim.cli.scene_import import quiet
+from gibson_sim.cli.quiet import quiet
 from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.scenes.load import load_scene
 
@@ -37,13 +37,13 @@ def add_parser(subparsers: Any) -> None:
     parser.set_defaults(run=_run)
 
 
+@quiet()
 def _run(args: argparse.Namespace) -> ExitCode:
     # Loaded here: the other sub-commands need no OpenGL.
     from gibson_sim.importing.views import contact_sheet
 
     if not 1 <= args.views <= MOST_VIEWS:
         raise ConfigError(f"--views is {args.views}, must be 1 to {MOST_VIEWS}")
-    quiet()
     scene = load_scene(args.scene)
     if args.floor is not None and not 0 <= args.floor < len(scene.floors):
         raise ConfigError(f"--floor is {args.floor}, scene {scene.name!r} has floors 0 to {len(scene.floors) - 1}")

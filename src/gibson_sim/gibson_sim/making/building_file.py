@@ -36,8 +36,8 @@ class Quality:
 QUALITIES = {
     "smallest": Quality(1, 256, 1),
     "draft": Quality(2, 1024, 8),
-    "normal": Quality(4, 2048, 10, 86),
-    "high": Quality(4, 2048, 40, 88),
+    "normal": Quality(4, 2048, 6, 88),
+    "high": Quality(4, 2048, 32, 90),
 }
 
 

@@ -44,7 +44,8 @@ def main() -> None:
     if wanted or not mirrors.exists():
         stage = Stage(building, assembly, quality.samples)
         _bake_all(stage, quality, wanted, args.work)
-        _mirrors(assembly, quality, mirrors)
+        if not mirrors.exists():
+            _mirrors(assembly, quality, mirrors)
     _tell("baked", 1.0)
 
 

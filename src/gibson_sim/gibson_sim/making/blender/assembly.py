@@ -112,12 +112,12 @@ def assemble(building: Building, atlases: int, size_px: int) -> Assembly:
     bare = [patterns.index(p) for p in (*UNTEXTURED, "outside") if p in patterns]
     hidden = np.array([not t.exported for t in things])[table["owner"]]
     textured = ~np.isin(table["pattern"], bare) & ~hidden
-    atlas, uv, charts, density = _place(table, textured, atlases, size_px)
+    atlas, uv, placed_charts, density = _place(table, textured, atlases, size_px)
     boxes = [(low, high) for t in things for low, high in t.solid.boxes]
     return Assembly(
         [t.name for t in things], [t.semantic_class for t in things], [t.exported for t in things], patterns,
         table["corners"], table["owner"], table["pattern"], table["tint"], table["place"], atlas, uv,
-        np.array(boxes), np.array([k for k, t in enumerate(things) for _ in t.solid.boxes]), charts, density,
+        np.array(boxes), np.array([k for k, t in enumerate(things) for _ in t.solid.boxes]), placed_charts, density,
     )  # fmt: skip
 
 

@@ -171,33 +171,25 @@ class Solid:
 
     def _rings(self, points: F64, count: int, sides: int, surface: Surface, rows: F64) -> Part:
         """Joins rings of points; steep bands are unrolled, flat ones seen from above."""
-        triangles, uv, chart = [], [], []
         steps = np.diff(rows, axis=0)
         flat = np.abs(steps[:, 1]) < 0.35 * np.abs(steps[:, 0])
-        number = np.cumsum(np.concatenate([[0], flat[1:] != flat[:-1]]))
+        number = np.cumsum(np.concatenate([[0], flat[1:] != flat[:-1]]))  # neighbouring bands of one sort share a chart
+        pairs = np.maximum(rows[:-1, 0], rows[1:, 0])
+        widest = np.array([pairs[number == n].max() for n in number])
         length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(steps, axis=1))])
-        angle = np.arange(sides + 1) * (2 * np.pi / sides)
-        for band in range(count - 1):
-            widest = max(rows[(k, k + 1), 0].max() for k in range(count - 1) if number[k] == number[band])
-            for j in range(sides):
-                k = (j + 1) % sides
-                quad = [band * sides + j, band * sides + k, (band + 1) * sides + k, (band + 1) * sides + j]
-                turns = (j, j + 1, j + 1, j)
-                levels = (band, band, band + 1, band + 1)
-                if flat[band]:
-                    place = [
-                        (rows[b, 0] * np.cos(angle[a]), rows[b, 0] * np.sin(angle[a])) for a, b in zip(turns, levels, strict=True)
-                    ]
-                else:
-                    place = [(angle[a] * widest, length[b]) for a, b in zip(turns, levels, strict=True)]
-                for pick in ((0, 1, 2), (0, 2, 3)):
-                    ends = points[[quad[i] for i in pick]]
-                    if np.linalg.norm(np.cross(ends[1] - ends[0], ends[2] - ends[0])) < 1e-12:
-                        continue
-                    triangles.append([quad[i] for i in pick])
-                    uv.append([place[i] for i in pick])
-                    chart.append(number[band])
-        return self.add(points, triangles, surface, np.asarray(uv), chart)
+        band, j = (k.ravel() for k in np.meshgrid(np.arange(count - 1), np.arange(sides), indexing="ij"))
+        turns = np.stack([j, j + 1, j + 1, j], axis=1)
+        levels = np.stack([band, band, band + 1, band + 1], axis=1)
+        quads = levels * sides + turns % sides
+        angle = turns * (2 * np.pi / sides)
+        unrolled = np.stack([angle * widest[band][:, None], length[levels]], axis=-1)
+        above = rows[levels, 0][..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        place = np.where(flat[band][:, None, None], above, unrolled)
+        picks = np.array([(0, 1, 2), (0, 2, 3)])
+        triangles, uv, chart = quads[:, picks].reshape(-1, 3), place[:, picks].reshape(-1, 3, 2), np.repeat(number[band], 2)
+        ends = points[triangles]
+        solid = np.linalg.norm(np.cross(ends[:, 1] - ends[:, 0], ends[:, 2] - ends[:, 0]), axis=1) >= 1e-12
+        return self.add(points, triangles[solid], surface, uv[solid], chart[solid])
 
     def sheet(self, grid: ArrayLike, surface: Surface) -> Part:
         """Adds a cloth or a leaf: a grid of points (A, B, 3), its front to the side from which A right, B up is seen."""

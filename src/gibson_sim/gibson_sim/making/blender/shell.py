@@ -20,6 +20,7 @@ from gibson_sim.making.building import Building, Point, Room, Storey, Wall
 _SKIRTING = (0.012, 0.07)
 _MAX_CHART = 6.0
 """Longest side of a chart, metres: longer floors and walls are cut."""
+_BELOW_GROUND = 0.002
 _WET = ("tile", "metro", "checker")
 
 
@@ -47,8 +48,8 @@ def build_shell(building: Building) -> list[Thing]:
             solid = Solid(rng)
             _level(solid, insets[room.name], through, storey.floor_z, look(room.floor, importance=1.25), up=True)
             _thresholds(solid, room, storey)
-            if level:
-                _slab_boxes(solid, insets[room.name], through, storey.floor_z)
+            # On the ground floor robots stand on the ground plane; the floor just below it tells maps where the rooms are.
+            _slab_boxes(solid, insets[room.name], through, storey.floor_z - (0.0 if level else _BELOW_GROUND))
             things.append(Thing(f"floor_{room.name}", "floor", solid))
             solid = Solid(rng)
             _level(solid, insets[room.name], below, storey.floor_z + storey.height, look(room.ceiling, importance=0.5), up=False)
@@ -65,6 +66,7 @@ def build_shell(building: Building) -> list[Thing]:
                 if solid.parts:
                     name = "window" if opening.kind == "window" else "door_frame"
                     things.append(Thing(f"{name}{tag}_{number}_{k}", name, solid))
+        things += _shut(storey, rng, level)
         things.append(_lid(storey, rng, level))
     for number, flight in enumerate(building.stairs):
         solid = Solid(np.random.default_rng((building.seed, 12, number)))
@@ -281,6 +283,22 @@ def _skirting(solid: Solid, wall: Wall, sign: float, span: tuple[float, float], 
             side = {(1, 0): "+x", (-1, 0): "-x", (0, 1): "+y", (0, -1): "-y"}[(round(-n[0] * sign), round(-n[1] * sign))]
             solid.box((*p, z), (*q, z + _SKIRTING[1]), look("wood_white"), 0.004, f"-z {side}")
         at = b
+
+
+def _shut(storey: Storey, rng: np.random.Generator, level: int) -> list[Thing]:
+    """Returns what keeps the sun out of doors to the outside: their leaves are bodies, and closed."""
+    things = []
+    for number, wall in enumerate(storey.walls):
+        u, n, _ = wall_axes(wall)
+        for opening in wall.openings:
+            if opening.kind == "door" and not (wall.left and wall.right):
+                solid, middle = Solid(rng), np.asarray(wall.start) + u * opening.middle
+                low, high = middle - u * opening.width / 2 - n * 0.01, middle + u * opening.width / 2 + n * 0.01
+                solid.box(
+                    (*low, storey.floor_z), (*high, storey.floor_z + opening.height), Surface("outside", (0.5, 0.5, 0.5)), 0
+                )
+                things.append(Thing(f"shut_{level}_{number}", "", solid, exported=False))
+    return things
 
 
 def _lid(storey: Storey, rng: np.random.Generator, level: int) -> Thing:
