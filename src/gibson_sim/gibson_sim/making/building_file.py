@@ -34,7 +34,7 @@ class Quality:
 
 
 QUALITIES = {
-    "smallest": Quality(1, 256, 1),
+    "smallest": Quality(1, 768, 1),
     "draft": Quality(2, 1024, 8),
     "normal": Quality(4, 2048, 6, 88),
     "high": Quality(4, 2048, 32, 90),

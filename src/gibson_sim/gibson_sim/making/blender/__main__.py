@@ -8,11 +8,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gibson_sim.errors import GibsonSimError
 from gibson_sim.making.blender.assembly import Assembly, assemble
 from gibson_sim.making.blender.bake import Stage
 from gibson_sim.making.blender.denoise import denoised
@@ -30,20 +32,27 @@ def main() -> None:
     parser.add_argument("plan", type=Path)
     parser.add_argument("work", type=Path)
     args = parser.parse_args()
-    building, quality = read_plan(args.plan)
+    try:
+        _make(args.plan, args.work)
+    except GibsonSimError as error:
+        sys.exit(f"{error}")
+
+
+def _make(plan: Path, work: Path) -> None:
+    building, quality = read_plan(plan)
     _tell("furniture and walls", 0.0)
     assembly = assemble(building, quality.atlases, quality.size_px)
-    mesh = args.work / "mesh.npz"
+    mesh = work / "mesh.npz"
     if not mesh.exists():
-        assembly.save(args.work / "mesh.part.npz")
-        os.replace(args.work / "mesh.part.npz", mesh)
+        assembly.save(work / "mesh.part.npz")
+        os.replace(work / "mesh.part.npz", mesh)
     _tell(f"{len(assembly.owner)} triangles, {assembly.density:.0f} pixels per metre", 0.02)
     atlases = sorted({int(a) for a in assembly.atlas if a >= 0})
-    wanted = [(k, what) for what in ("color", "light") for k in atlases if not (args.work / f"{what}_{k}.npy").exists()]
-    mirrors = args.work / "mirrors.npz"
+    wanted = [(k, what) for what in ("color", "light") for k in atlases if not (work / f"{what}_{k}.npy").exists()]
+    mirrors = work / "mirrors.npz"
     if wanted or not mirrors.exists():
         stage = Stage(building, assembly, quality.samples)
-        _bake_all(stage, quality, wanted, args.work)
+        _bake_all(stage, quality, wanted, work)
         if not mirrors.exists():
             _mirrors(assembly, quality, mirrors)
     _tell("baked", 1.0)
