@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import mmap
 import subprocess
 import sys
 from pathlib import Path
@@ -43,6 +44,17 @@ def test_dead_segments_go_and_living_ones_stay(tmp_path: Path) -> None:
         remove_dead_segments(tmp_path)
         # The lock file of a port is used again by the next who opens that port.
         assert {p.name for p in tmp_path.iterdir()} == {*alive, "fastrtps_port7001_el", "somebody_else_el"}
+
+
+def test_port_that_somebody_writes_to_stays_until_it_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who closes it last removes it by its name: by then that would be another one's port."""
+    port, lock = tmp_path / "fastrtps_port7003", tmp_path / "fastrtps_port7003_el"
+    port.write_bytes(bytes(4096))
+    lock.touch()
+    monkeypatch.setattr(shared_memory, "SETTLED_S", 0.0)
+    with port.open("r+b") as file, mmap.mmap(file.fileno(), 4096):
+        assert remove_dead_segments(tmp_path) == []
+    assert remove_dead_segments(tmp_path) == [port]
 
 
 def test_locks_are_not_tried_while_somebody_may_be_taking_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,9 @@ without its lock file: dead as well, unless it is being made at this very moment
 A participant that starts cannot take a lock that we hold, be it for an instant, and one whose lock file was taken away is taken for dead
 by all others. So the kernel's list of locks is asked first; we try a lock only if nobody holds it and it is not new, keep it while we
 remove what it guards, and leave the lock file of a port, which is used again, where it is.
+
+A port whose reader is gone stays as long as anybody alive has it open for writing. The last who closes a port removes it *by its name*: had we
+removed it before, that would be the new port of whoever got the same number meanwhile, which would be deaf from then on.
 """
 
 from __future__ import annotations
@@ -35,7 +38,7 @@ def remove_dead_segments(folder: Path = FOLDER) -> list[Path]:
 
 def _sweep(folder: Path) -> tuple[list[Path], bool]:
     """Removes what is dead now; returns what was removed, and whether something looks dead but is too young to judge."""
-    removed, young, held = [], False, _locked_files()
+    removed, young, held, mapped = [], False, _locked_files(), _mapped_files()
     for base in sorted({p.with_name(p.name.removesuffix("_el")) for p in folder.glob("fastrtps_*")}):
         lock, mutex, is_port = base.with_name(f"{base.name}_el"), base.with_name(f"sem.{base.name}_mutex"), "_port" in base.name
         if not lock.exists():
@@ -44,7 +47,7 @@ def _sweep(folder: Path) -> tuple[list[Path], bool]:
             continue
         else:
             guarded = [base, mutex] if is_port else [base, lock]
-        if not any(path.exists() for path in guarded):
+        if not any(path.exists() for path in guarded) or (is_port and _file_of(base) in mapped):
             continue
         if max(_changed_s(base), _changed_s(lock)) > time.time() - SETTLED_S:
             young = True
@@ -86,6 +89,20 @@ def _locked_files() -> frozenset[tuple[int, int]]:
         return frozenset()
     places = [field.split(":") for line in lines for field in line.split() if field.count(":") == 2]
     return frozenset((os.makedev(int(major, 16), int(minor, 16)), int(inode)) for major, minor, inode in places)
+
+
+def _mapped_files() -> frozenset[tuple[int, int]]:
+    """Returns (device, inode) of the shared-memory files of Fast DDS that any process whose maps we may read has mapped."""
+    found = set()
+    for maps in Path("/proc").glob("[0-9]*/maps"):
+        try:
+            lines = maps.read_text(errors="replace").splitlines()
+        except OSError:  # gone, or someone else's, whose files we may not remove either
+            continue
+        for fields in (line.split() for line in lines if "/fastrtps_" in line):
+            major, minor = fields[3].split(":")
+            found.add((os.makedev(int(major, 16), int(minor, 16)), int(fields[4])))
+    return frozenset(found)
 
 
 def _file_of(path: Path) -> tuple[int, int]:
