@@ -73,8 +73,9 @@ def _run(robot: Path, *options: str, lockstep: bool = True, resets: int = 0) -> 
         control = Control(listener)
         for epoch in range(resets + 1):
             # The last tick with its image; what runs free may have skipped that one.
-            last = (epoch, TICKS * STEPS_A_TICK, f"/{IMAGES[0]}" if lockstep else "/scene_state")
-            listener.spin_until(lambda last=last: last in controller.digests, f"{TICKS} ticks")
+            topics = {"/scene_state", f"/{IMAGES[0]}"} if lockstep else {"/scene_state"}
+            last = {(epoch, TICKS * STEPS_A_TICK, topic) for topic in topics}
+            listener.spin_until(lambda last=last: last <= controller.digests.keys(), f"{TICKS} ticks")
             if epoch < resets:
                 control.reset()
         launched.stop()
