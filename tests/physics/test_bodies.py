@@ -12,7 +12,8 @@ import trimesh
 
 from gibson_sim.errors import PhysicsError
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
-from gibson_sim.physics.world import GROUND, PhysicsWorld
+from gibson_sim.physics.static_shapes import GROUND
+from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.spec import Shape
 from gibson_sim.robots.urdf import Inertial, UrdfCollision, UrdfJoint, UrdfLink, UrdfModel, UrdfVisual

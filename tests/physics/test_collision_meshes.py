@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
-from gibson_sim.physics import bullet
+from gibson_sim.physics.convex_parts import convex_parts
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.spec import RobotSpec, Shape
 from gibson_sim.scenes.collision import scan as scan_module
@@ -89,6 +89,6 @@ def test_v_hacd_fills_a_concave_object_with_convex_parts() -> None:
     points = np.array([(x, y, z) for z in (0, 1) for x, y in corners], dtype=np.float64)
     sides = [t for a in range(6) for b in [(a + 1) % 6] for t in ((a, b, b + 6), (a, b + 6, a + 6))]
     lids = [(0, 2, 1), (0, 3, 2), (0, 4, 3), (0, 5, 4), (6, 7, 8), (6, 8, 9), (6, 9, 10), (6, 10, 11)]
-    parts = bullet.convex_parts(points, np.array(sides + lids))
+    parts = convex_parts(points, np.array(sides + lids))
     assert len(parts) >= 2
     assert sum(ConvexHull(vertices).volume for vertices, _ in parts) == pytest.approx(3.0, rel=0.1)

@@ -10,10 +10,13 @@ import pytest
 
 from gibson_sim.errors import CommandError
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.joint_commands import JointPositions, JointTrajectory, JointVelocities, TrajectoryPoint
+from gibson_sim.robots.body import BodySpec
+from gibson_sim.robots.joint_commands import JointEfforts, JointPositions, JointTrajectory, JointVelocities, TrajectoryPoint
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.spec import RobotSpec
+from gibson_sim.robots.urdf import Inertial, UrdfJoint, UrdfLink, UrdfModel
 from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.types import Pose
 
 MakeScene = Callable[..., SceneSpec]
 S = 1_000_000_000
@@ -163,12 +166,97 @@ def test_reset_forgets_commands(scene: SceneSpec) -> None:
         assert joints(world)["shoulder"] == pytest.approx(0.0, abs=1e-3)
 
 
+def test_effort_accelerates_as_newton_says_up_to_the_limit_of_velocity(make_scene: MakeScene) -> None:
+    with PhysicsWorld(make_scene(), step_hz=1000) as world:
+        world.add_body(door())
+        world.command_joints("door", JointEfforts((2.0,), ("hinge",)))
+        world.step(100)
+        # 2 N m on 0.5 kg m^2.
+        assert world.joint_states("door").velocities[0] == pytest.approx(0.4, rel=0.01)
+        assert world.joint_states("door").efforts[0] == pytest.approx(2.0, rel=0.01)
+        world.step(300)
+        assert world.joint_states("door").velocities[0] == pytest.approx(0.8, rel=0.01)
+
+
+def test_effort_ends_at_the_limit_of_position(scene: SceneSpec) -> None:
+    with PhysicsWorld(scene) as world:
+        for effort, end in ((-60.0, -1.2), (60.0, 1.0)):
+            world.command_joints("robot", JointEfforts((effort,), ("shoulder",)))
+            for _ in range(60):
+                world.step(12)
+                assert -1.205 < joints(world)["shoulder"] < 1.005
+            assert joints(world)["shoulder"] == pytest.approx(end, abs=2e-3)
+
+
+def test_effort_of_zero_lets_an_arm_fall_and_another_command_takes_it_up(scene: SceneSpec) -> None:
+    with PhysicsWorld(scene) as world:
+        world.command_joints("robot", JointEfforts((0.0,), ("shoulder",)))
+        world.step(240)
+        assert joints(world)["shoulder"] > 0.9
+        world.command_joints("robot", JointPositions((-0.5,), ("shoulder",)))
+        world.step(480)
+        assert joints(world)["shoulder"] == pytest.approx(-0.5, abs=2e-3)
+
+
+def test_effort_beyond_the_limit_is_refused(scene: SceneSpec) -> None:
+    with PhysicsWorld(scene) as world, pytest.raises(CommandError, match="effort is 61, must be -60 to 60"):
+        world.command_joints("robot", JointEfforts((61.0,), ("shoulder",)))
+
+
+def door() -> BodySpec:
+    """A leaf that turns about z with 0.5 kg m^2, at most 0.8 rad/s, from 0 to 1.5 rad."""
+    frame = UrdfLink("frame", (), (), Inertial(1.0, Pose(), (0.1, 0.0, 0.0, 0.1, 0.0, 0.1)))
+    leaf = UrdfLink("leaf", (), (), Inertial(5.0, Pose(), (0.5, 0.0, 0.0, 0.5, 0.0, 0.5)))
+    hinge = UrdfJoint("hinge", "revolute", "frame", "leaf", Pose(), (0.0, 0.0, 1.0), 0.0, 1.5, effort=20.0, velocity=0.8)
+    return BodySpec("door", UrdfModel("door", Path("/nowhere/d.urdf"), (frame, leaf), (hinge,)), Pose((0.0, 0.0, 1.0)), True)
+
+
+def test_joints_of_a_body_obey_too_also_when_it_sleeps_and_swing_free_when_they_are_let_go(make_scene: MakeScene) -> None:
+    with PhysicsWorld(make_scene()) as world:
+        world.add_body(door())
+        world.step(720)
+        world.command_joints("door", JointPositions((0.8,), ("hinge",)))
+        world.step(60)
+        assert world.joint_states("door").velocities[0] == pytest.approx(0.8, rel=0.02)
+        world.step(420)
+        assert world.joint_states("door").positions[0] == pytest.approx(0.8, abs=1e-3)
+        world.command_joints("door", JointVelocities((-0.4,), ("hinge",)))
+        world.step(120)
+        world.command_joints("door", JointEfforts((0.0,), ("hinge",)))
+        world.step(60)
+        assert world.joint_states("door").velocities[0] == pytest.approx(-0.4, rel=0.02), "nothing slows it"
+
+
+def test_reset_and_a_new_time_end_what_joints_of_a_body_were_told(make_scene: MakeScene) -> None:
+    with PhysicsWorld(make_scene()) as world:
+        world.add_body(door())
+        world.command_joints("door", JointVelocities((0.5,), ("hinge",)))
+        world.step(120)
+        world.set_step_count(0)
+        world.step(120)
+        assert world.joint_states("door").positions[0] == pytest.approx(0.25, abs=0.01)
+        world.reset()
+        world.step(120)
+        assert world.joint_states("door").positions[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_command_for_joints_of_nobody_is_refused(make_scene: MakeScene) -> None:
+    with PhysicsWorld(make_scene()) as world:
+        world.add_body(door())
+        with pytest.raises(CommandError, match="no joint 'lock' that obeys commands; known: hinge"):
+            world.command_joints("door", JointPositions((0.1,), ("lock",)))
+        world.remove("door")
+        with pytest.raises(CommandError, match="no robot or body 'door' in this world; known: none"):
+            world.command_joints("door", JointPositions((0.1,), ("hinge",)))
+
+
 def test_equal_runs_are_bit_equal(scene: SceneSpec) -> None:
     with PhysicsWorld(scene) as world:
         results = []
         for _ in range(2):
             world.command_joints("robot", JointTrajectory(("shoulder",), (TrajectoryPoint(S, (-0.9,), (0.0,), (0.0,)),)))
             world.command_joints("robot", JointVelocities((math.pi,), ("twist",)))
+            world.command_joints("robot", JointEfforts((1.5,), ("slide",)))
             world.step(300)
             results.append((world.joint_states("robot").positions.tobytes(), world.state().positions.tobytes()))
             world.reset()

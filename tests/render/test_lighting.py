@@ -197,6 +197,18 @@ def test_surroundings_that_are_not_to_be_seen_only_light(tmp_path: Path) -> None
     assert frame.rgb[31, 31].min() > 180
 
 
+def test_a_backdrop_is_seen_and_lights_nothing(tmp_path: Path) -> None:
+    grey = _surroundings(tmp_path, np.full((32, 64, 3), 0.5))
+    green = _surroundings(tmp_path, np.full((32, 64, 3), (0.0, 1.0, 0.0)), "backdrop.hdr")
+    frame = draw(plate((1.0, 0.0, 0.0), WHITE), light=replace(ONLY_AMBIENT, ambient=0.0, environment=grey, backdrop=green))
+    assert frame.rgb is not None
+    np.testing.assert_array_equal(frame.rgb[2, 2], [0, 255, 0])
+    np.testing.assert_allclose(frame.rgb[31, 31], [188, 188, 188], atol=2)
+    alone = draw(plate((1.0, 0.0, 0.0), WHITE), light=replace(ONLY_AMBIENT, ambient=0.0, backdrop=green)).rgb
+    assert alone is not None
+    assert alone[2, 2, 1] == 255 and not alone[31, 31].any()
+
+
 def test_surroundings_of_the_wrong_shape_are_refused(tmp_path: Path) -> None:
     light = replace(ONLY_AMBIENT, environment=_surroundings(tmp_path, np.full((32, 32, 3), 0.5)))
     with pytest.raises(SceneError, match="is 32x32 pixels; an equirectangular image is twice as wide as high"):

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.errors import ConfigError, RobotError, SceneNotFoundError
-from gibson_sim.resources import find_config, find_robot, find_scene, known_scenes
+from gibson_sim.resources import cache_folder, find_config, find_robot, find_scene, known_scenes
 from support.scenes import write_room
 
 
@@ -78,3 +78,12 @@ def test_unknown_robot_is_a_robot_error() -> None:
 def test_empty_name_is_refused(name: str) -> None:
     with pytest.raises(SceneNotFoundError, match="empty"):
         find_scene(name)
+
+
+def test_caches_are_where_the_desktop_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", "/somewhere")
+    assert cache_folder("scenes") == Path("/somewhere/gibson-sim/scenes")
+    monkeypatch.setenv("XDG_CACHE_HOME", "")
+    assert cache_folder("scenes") == Path.home() / ".cache" / "gibson-sim" / "scenes"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    assert cache_folder("scenes") == Path.home() / ".cache" / "gibson-sim" / "scenes"

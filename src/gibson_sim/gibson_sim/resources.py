@@ -89,6 +89,15 @@ def known_scenes() -> dict[str, Path]:
     return found
 
 
+def cache_folder(kind: str) -> Path:
+    """Returns where things of a kind are kept that can be made again: ``$XDG_CACHE_HOME/gibson-sim/<kind>``, or the same below ``~/.cache``.
+
+    It may not exist yet.
+    """
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(base) if base else Path.home() / ".cache") / "gibson-sim" / kind
+
+
 def _folders(kind: str) -> tuple[Path, ...]:
     explicit = [Path(entry).expanduser() for entry in os.environ.get(PATH_VARIABLE, "").split(":") if entry]
     return tuple(p for share in share_folders() for p in ((share / kind, share) if share in explicit else (share / kind,)))

@@ -21,13 +21,16 @@ from gibson_sim.making.blender.charts import BORDER_PX, place_charts
 from gibson_sim.making.blender.furniture import BUILDERS, build_piece
 from gibson_sim.making.blender.looks import LOOKS
 from gibson_sim.making.blender.shapes import Solid, Surface
-from gibson_sim.making.blender.shell import build_shell
+from gibson_sim.making.blender.shell import build_shell, widened
 from gibson_sim.making.building import MATERIALS, Body, Building, Lamp, Opening, Piece, Room, Start, Storey, Wall
 from gibson_sim.making.building_file import QUALITIES, Quality, read_plan, write_plan
 from gibson_sim.making.catalogue import CATALOGUE
 from gibson_sim.making.glb import Paint, Patch, write_glb
-from gibson_sim.making.pixels import doubled, exposure_of, filled, toned
+from gibson_sim.making.pixels import doubled, exposure_of, filled, hidden, toned
+from gibson_sim.making.planning.planner import plan_building
 from gibson_sim.making.scene_folder import calm_small_charts, put_mirror, write_scene_folder
+from gibson_sim.making.surroundings import write_surroundings
+from gibson_sim.render.environment import irradiance, load_environment
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.mesh import load_mesh
 
@@ -156,6 +159,33 @@ def test_gaps_get_the_colour_of_the_chart_beside_them() -> None:
     assert np.allclose(result[:, 3], (1, 0, 0)) and np.allclose(result[:, 4], (0, 0, 1))
 
 
+def test_what_lies_within_something_else_is_found_and_single_dark_pixels_are_left() -> None:
+    openness = np.ones((8, 12), dtype=np.float32)
+    openness[:, 4] = openness[6, 8:11] = openness[1, 9] = openness[2, 9] = 0.0
+    covered = np.ones((8, 12), dtype=bool)
+    covered[0] = False
+    expected = np.zeros((8, 12), dtype=bool)
+    expected[1:, 4] = expected[6, 8:11] = True
+    assert np.array_equal(hidden(openness, covered), expected)
+
+
+def test_what_is_baked_on_an_upper_floor_is_not_covered_by_the_lid_of_the_lower() -> None:
+    things = build_shell(plan_building("house", 0))
+    lids = [thing.solid.parts[0].vertices[:, 2] for thing in things if thing.name.startswith("lid")]
+    heights = [thing.solid.parts[0].vertices[:, 2] for thing in things if thing.name.startswith(("floor", "ceiling"))]
+    assert len(lids) == 2
+    assert sorted(z.min() > np.max(np.concatenate(heights)) or z.max() < np.min(np.concatenate(heights)) for z in lids) == [
+        True,
+        True,
+    ]
+
+
+def test_the_boxes_of_a_floor_with_six_corners_reach_below_its_walls_all_around() -> None:
+    corners = np.array([(0, 0), (4, 0), (4, 2), (2, 2), (2, 3), (0, 3)], dtype=float)
+    expected = [(-0.1, -0.1), (4.1, -0.1), (4.1, 2.1), (2.1, 2.1), (2.1, 3.1), (-0.1, 3.1)]
+    np.testing.assert_allclose(widened(corners, 0.1), expected)
+
+
 def test_a_doubled_image_keeps_its_mean_and_its_place() -> None:
     image = np.arange(16, dtype=np.float32).reshape(4, 4, 1)
     result = doubled(image)
@@ -215,7 +245,8 @@ def test_a_baked_building_becomes_a_scene_that_loads(tmp_path: Path) -> None:
     building, quality = two_rooms(), Quality(1, 256, 1)
     building = Building(**{f: getattr(building, f) for f in building.__dataclass_fields__} | {"bodies": ()})
     _pretend_baked(building, quality, tmp_path / "work")
-    write_scene_folder(building, quality, tmp_path / "work", tmp_path / "scene", "a test")
+    white = write_scene_folder(building, quality, tmp_path / "work", tmp_path / "scene", "a test")
+    assert 0.3 < white < 1.1
     scene = load_scene(tmp_path / "scene")
     assert not scene.warnings
     assert {"wall", "floor", "ceiling", "table", "lamp", "window", "door_frame"} == {v.semantic_class for v in scene.visuals}
@@ -225,6 +256,15 @@ def test_a_baked_building_becomes_a_scene_that_loads(tmp_path: Path) -> None:
     data = (tmp_path / "scene" / "assets" / "wall_0.glb").read_bytes()
     document = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
     assert document["images"] == [{"uri": "atlas_0.jpg"}]
+
+
+def test_things_in_a_scene_are_lit_as_brightly_as_the_rooms_around_them(tmp_path: Path) -> None:
+    building, quality = two_rooms(), Quality(1, 256, 1)
+    _pretend_baked(building, quality, tmp_path / "work")
+    white = write_scene_folder(building, quality, tmp_path / "work", tmp_path / "scene", "a test")
+    write_surroundings(tmp_path / "scene", building, white)
+    factors = irradiance(load_environment(tmp_path / "scene" / "assets" / "rooms.hdr"))
+    assert (factors[0] + factors[6] / 3).mean() == pytest.approx(white, rel=0.02)
 
 
 def test_an_atlas_that_was_not_baked_is_named(tmp_path: Path) -> None:

@@ -226,5 +226,3 @@ def test_one_scene_above_the_limit_is_kept_alone(tmp_path: Path, visuals: Visual
 def test_the_folder_is_where_the_desktop_says(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", "/somewhere")
     assert default_folder() == Path("/somewhere/gibson-sim/scenes")
-    monkeypatch.setenv("XDG_CACHE_HOME", "")
-    assert default_folder() == Path.home() / ".cache" / "gibson-sim" / "scenes"

@@ -148,6 +148,26 @@ def test_xacro_is_refused_with_the_remedy(tmp_path: Path) -> None:
         read_urdf(tmp_path / "r.urdf")
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<robot name='r' xmlns:xacro='x'><link name='a'/><xacro:include filename='wheels.xacro'/></robot>",
+        "<robot name='r' xmlns:xacro='x'><link name='a'/><xacro:wheel side='left'/></robot>",
+        "<robot name='r'><link name='a'/><xacro:wheel side='left'/></robot>",
+    ],
+    ids=["include", "macro", "without a namespace"],
+)
+def test_elements_of_xacro_are_refused_whatever_their_namespace(tmp_path: Path, text: str) -> None:
+    (tmp_path / "r.urdf").write_text(text)
+    with pytest.raises(RobotError, match=r"expand it first: xacro r\.urdf > robot\.urdf"):
+        read_urdf(tmp_path / "r.urdf")
+
+
+def test_what_xacro_left_in_a_comment_is_harmless(tmp_path: Path) -> None:
+    (tmp_path / "r.urdf").write_text("<?x <xacro:a?><robot name='r'><!-- <xacro:include/> --><link name='a'/></robot>")
+    assert read_urdf(tmp_path / "r.urdf").root == "a"
+
+
 def test_real_turtlebot3_is_read(data_dir: Path) -> None:
     model = read_urdf(data_dir / "nav2_minimal_tb3_tb4/nav2_minimal_tb3_sim/urdf/turtlebot3_waffle.urdf")
     assert model.warnings == ()

@@ -11,12 +11,13 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_sim.errors import MeshError, SceneError
+from gibson_sim.geometry.triangles import areas_of
 from gibson_sim.scenes.collision import parts, scan as scan_module
 from gibson_sim.scenes.collision.cache import RECORD, default_folder
 from gibson_sim.scenes.collision.parts import convex_parts, scan_shapes
 from gibson_sim.scenes.collision.planes import flatten_floors
 from gibson_sim.scenes.collision.scan import MAX_ERROR, SimplifiedScan, simplify_scan
-from gibson_sim.scenes.collision.triangles import areas_of, distances, weld
+from gibson_sim.scenes.collision.triangles import distances, weld
 from gibson_sim.scenes.load import load_scene
 from support.scans import ROOM, STEP, THRESHOLD, noisy_room
 

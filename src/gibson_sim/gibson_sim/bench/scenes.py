@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError, GibsonSimError, SceneError
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, Mat4
-from gibson_sim.render.cache import default_folder
-from gibson_sim.resources import find_scene
+from gibson_sim.resources import cache_folder, find_scene
 from gibson_sim.scenes import generator
 from gibson_sim.scenes.floor_map import scene_floor_map
 from gibson_sim.scenes.generator.rooms import make_rooms, rooms_camera_path
@@ -78,7 +77,7 @@ def _kept_rooms(triangles: int) -> Path:
     digest = hashlib.sha256()
     for source in sorted(Path(generator.__file__).parent.glob("*.py")):
         digest.update(source.read_bytes())
-    folder = default_folder().parent / "bench" / f"rooms_{triangles}_{digest.hexdigest()[:12]}"
+    folder = cache_folder("bench") / f"rooms_{triangles}_{digest.hexdigest()[:12]}"
     if not folder.is_dir():
         folder.parent.mkdir(parents=True, exist_ok=True)
         made = Path(tempfile.mkdtemp(dir=folder.parent))
@@ -137,7 +136,7 @@ def export_for_peers(scene: BenchScene) -> Path:
         if len(spec.visuals) != 1 or spec.visuals[0].shape.kind != "mesh" or np.any(spec.visuals[0].pose.position):
             raise SceneError(f"{scene.name}: has {len(spec.visuals)} shapes; the peers draw scenes of one mesh with one texture")
         file = Path(spec.visuals[0].shape.mesh)
-        folder = default_folder().parent / "bench" / f"peers_{spec.content_hash[:24]}"
+        folder = cache_folder("bench") / f"peers_{spec.content_hash[:24]}"
     if not (folder / "mesh.npz").is_file():
         folder.mkdir(parents=True, exist_ok=True)
         _export(scene.name, file, folder)

@@ -27,7 +27,7 @@ def add_parser(subparsers: Any) -> None:
 
 def _run(args: argparse.Namespace) -> ExitCode:
     # Loaded here: the other sub-commands need none of it.
-    from gibson_sim.physics import bullet
+    from gibson_sim.physics.convex_parts import convex_parts as v_hacd_parts
     from gibson_sim.scenes.collision.parts import convex_parts, scan_shapes
     from gibson_sim.scenes.mesh import load_mesh
 
@@ -38,7 +38,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
         count = sum(len(load_mesh(file, [file.parent]).merged()[1]) for file in files)
         print(f"{len(triangles)} triangles: {count} triangles and {len(shapes) - len(files)} boxes for level floors")
     else:
-        files = list(convex_parts(vertices, triangles, args.mesh.name, otherwise=bullet.convex_parts))
+        files = list(convex_parts(vertices, triangles, args.mesh.name, otherwise=v_hacd_parts))
         print(f"{len(triangles)} triangles: {len(files)} convex parts")
     if args.output is not None:
         try:

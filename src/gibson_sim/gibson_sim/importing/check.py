@@ -10,9 +10,12 @@ from typing import Any, Literal
 import numpy as np
 
 from gibson_sim.errors import GibsonSimError, SceneError
+from gibson_sim.geometry.triangles import areas_of, unit_normals
+from gibson_sim.importing.carried import missing, out_of_date
 from gibson_sim.importing.facts import Geometry, SceneFacts, scene_facts, scene_geometry
 from gibson_sim.importing.faults import MeshFaults, find_faults
-from gibson_sim.importing.gravity import ALIGNED_DEG, UNITS, face_normals, guess_up
+from gibson_sim.importing.gravity import ALIGNED_DEG, UNITS, guess_up
+from gibson_sim.importing.scans import SCAN_FROM, SCAN_SHARE
 from gibson_sim.robots.omissions import OmissionKind, kind_of
 from gibson_sim.scenes.floor_map import FLOOR_TOLERANCE, scene_floor_map
 from gibson_sim.scenes.image_header import MAX_PIXELS
@@ -24,8 +27,6 @@ MAX_SIDE = 8192
 """Of a texture, pixels; many graphics cards and most viewers take no more."""
 MAX_MEMORY_MB = 2048.0
 """Of all textures."""
-SCAN_FROM = 20_000
-"""A mesh of so many triangles, most of which hang together, is looked at as a scan, whose holes are holes in walls."""
 HOLE_FROM = 0.3
 """Rim of a hole that is told of, metres."""
 ROBOT_RADIUS, ROBOT_HEIGHT = 0.2, 0.5
@@ -95,7 +96,7 @@ def check_scene(scene: SceneSpec) -> Report:
     facts = scene_facts(scene, geometry, guess)
     findings = [
         *_orientation(facts), *_unit(facts), *_meshes(geometry), *_textures(facts), *_floor(scene, geometry, facts), *_starts(scene, facts),
-        *_omissions(scene, geometry),
+        *_omissions(scene, geometry), *_carried(scene),
     ]  # fmt: skip
     order = {"error": 0, "warning": 1, "note": 2}
     return Report(tuple(sorted(findings, key=lambda f: order[f.level])), facts, scene, geometry)
@@ -143,7 +144,8 @@ def _mesh(name: str, faults: MeshFaults, count: int) -> Iterator[Finding]:
         level = "warning" if inverted > _INVERTED * count else "note"
         text = f"{name}: {inverted} of {count} triangles are turned the other way round than their neighbours, or inside out"
         yield Finding("inverted", level, text, "--fix turns them", True)
-    scan = count >= SCAN_FROM and faults.largest_piece > 0.5
+    # Holes of a scan are holes in walls.
+    scan = count >= SCAN_FROM and faults.largest_piece > SCAN_SHARE
     if faults.crowded_edges:
         level = "warning" if scan and faults.crowded_edges > 0.01 * count else "note"
         text = f"{name}: {faults.crowded_edges} edges belong to more than two triangles (non-manifold)"
@@ -171,8 +173,8 @@ def _textures(facts: SceneFacts) -> Iterator[Finding]:
 def _floor(scene: SceneSpec, geometry: Geometry, facts: SceneFacts) -> Iterator[Finding]:
     if not len(geometry.triangles) and scene.ground_z is None:
         return
-    normals, areas = face_normals(geometry.vertices, geometry.triangles)
-    heights = geometry.vertices[geometry.triangles][:, :, 2]
+    corners = geometry.vertices[geometry.triangles]
+    normals, areas, heights = unit_normals(corners), areas_of(corners), corners[:, :, 2]
     for z in scene.floors:
         if scene.ground_z is not None and abs(scene.ground_z - z) <= FLOOR_TOLERANCE:
             continue
@@ -228,3 +230,12 @@ def _omissions(scene: SceneSpec, geometry: Geometry) -> Iterator[Finding]:
         yield Finding(
             "missing-texture" if texture else "missing" if missing else "left-out", "warning" if missing else "note", short
         )
+
+
+def _carried(scene: SceneSpec) -> Iterator[Finding]:
+    for text in out_of_date(scene, ROBOT_RADIUS, ROBOT_HEIGHT):
+        yield Finding("out-of-date", "warning", text, "gibson-sim scene map SCENE --write makes it anew")
+    lacking = missing(scene)
+    if lacking:
+        remedy = "nothing needs them; `gibson-sim scene map SCENE --write` makes maps and free poses, docs/scenes.md says what rooms are"
+        yield Finding("unfinished", "note", f"a finished scene also has {', '.join(lacking)}", remedy)

@@ -29,6 +29,10 @@ BAKED_LIGHT: Mapping[str, Any] = {"sun": 0.0, "ambient": 1.0}
 """Of scans: the light of the room is in their textures."""
 
 
+SIMPLIFIED = "simplified"
+"""Collision of a scan: flat floors, and fewer triangles."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ImportedObject:
     """One object of a scene.yaml."""
@@ -45,7 +49,7 @@ class ImportedObject:
     semantic_class: str = ""
     color: Rgba | None = None
     collision: Path | Mesh | str = "same"
-    """``same``, ``none``, or a mesh in the frame of the shape."""
+    """``same``, ``none``, ``simplified``, or a mesh in the frame of the shape."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from gibson_sim.importing.gravity import face_normals
+from gibson_sim.geometry.triangles import areas_of
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -96,10 +96,9 @@ def find_faults(vertices: F64, triangles: NDArray[np.integer]) -> MeshFaults:
 
 def _degenerate(vertices: F64, triangles: NDArray[np.integer], corners: I64) -> Bools:
     same = (corners[:, 0] == corners[:, 1]) | (corners[:, 1] == corners[:, 2]) | (corners[:, 2] == corners[:, 0])
-    areas = face_normals(vertices, triangles)[1]
     points = vertices[triangles]
     longest = np.linalg.norm(points - np.roll(points, 1, axis=1), axis=2).max(axis=1, initial=0.0)
-    return np.asarray(same | (areas <= _THIN * longest**2))
+    return np.asarray(same | (areas_of(points) <= _THIN * longest**2))
 
 
 def _base(corners: I64) -> int:
@@ -153,7 +152,7 @@ def _inverted(positions: F64, corners: I64, pairs: I64, alike: Bools, pieces: I6
     graph = sparse.coo_matrix((np.ones(len(one), dtype=np.int8), (one, other)), shape=(2 * count, 2 * count))
     _, label = csgraph.connected_components(graph, directed=False)
     points = positions[corners]
-    areas = face_normals(points.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))[1]
+    areas = areas_of(points)
     # A face belongs to the half that its piece's first face is in, or to the other one.
     lead = np.full(int(pieces.max()) + 1, count)
     np.minimum.at(lead, pieces, np.arange(count))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -12,15 +11,15 @@ from gibson_sim.importing.archives import needs_space, only_folder, unpack
 from gibson_sim.importing.download import download
 from gibson_sim.importing.recipes import Recipe
 from gibson_sim.importing.run import Choices, Imported, import_scene
+from gibson_sim.resources import cache_folder
 
 _SPACE = 3
 """Times the size of the download: itself, unpacked, and imported."""
 
 
 def download_folder(name: str) -> Path:
-    """Returns ``$XDG_CACHE_HOME/gibson-sim/downloads/<name>``, or the same below ``~/.cache``."""
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(base) if base else Path.home() / ".cache") / "gibson-sim" / "downloads" / name
+    """Returns where the files of a scene are kept while it is not imported yet."""
+    return cache_folder("downloads") / name
 
 
 def fetch_scene(recipe: Recipe, output: Path, progress: Callable[[float], None]) -> Imported:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import matrix_from_pose
 from gibson_sim.importing.check import MAX_SIDE, Report, check_path
-from gibson_sim.importing.document import ImportedObject, ImportedScene, write_scene
+from gibson_sim.importing.document import SIMPLIFIED, ImportedObject, ImportedScene, write_scene
 from gibson_sim.importing.faults import find_faults
 from gibson_sim.importing.gravity import guess_up, rotation_to_z
 from gibson_sim.importing.importers import assigned, light_document
@@ -92,6 +92,9 @@ def _objects(scene: SceneSpec, matrix: F64, textures: _Textures) -> Sequence[Imp
         own = owners.get(visual.name, [])
         if len(own) == 1 and own[0].shape == visual.shape and own[0].pose == visual.pose:
             item = replace(item, collision="same")
+        elif len(own) > 1 and len({c.name for c in own}) == 1:
+            # Only what stands for a scan has one name together: it is made anew of the mended one.
+            item = replace(item, collision=SIMPLIFIED)
         elif own:
             meshes = [_mended(loader, c.shape, matrix @ matrix_from_pose(c.pose), None) for c in own]
             item = replace(item, collision=Mesh(tuple(part for m in meshes for part in m.parts)))

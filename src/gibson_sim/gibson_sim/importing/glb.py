@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
+from gibson_sim.geometry.colours import linear16_from_srgb8, linear_from_srgb
+from gibson_sim.scenes.glb_file import glb_bytes
 from gibson_sim.scenes.mesh_types import TO_Z_UP, Material, Mesh, MeshPart, TextureSource
 
 _FLOAT, _UINT, _USHORT = 5126, 5125, 5123
@@ -75,7 +75,6 @@ class _Document:
         self._primitives.append({"attributes": attributes, "indices": indices, "material": self._material(part.material)})
 
     def glb(self, name: str) -> bytes:
-        self._binary.extend(b"\0" * (-len(self._binary) % 4))
         document: dict[str, Any] = {
             "asset": {"version": "2.0", "generator": "gibson_sim.importing"},
             "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0, "name": name}],
@@ -87,12 +86,7 @@ class _Document:
             document["textures"] = [{"source": k} for k in range(len(self._images))]
         if self._unlit:
             document["extensionsUsed"] = ["KHR_materials_unlit"]
-        text = json.dumps(document, separators=(",", ":")).encode()
-        text += b" " * (-len(text) % 4)
-        head = struct.pack("<III", 0x46546C67, 2, 28 + len(text) + len(self._binary))
-        return b"".join((
-            head, struct.pack("<II", len(text), 0x4E4F534A), text, struct.pack("<II", len(self._binary), 0x004E4942), self._binary,
-        ))  # fmt: skip
+        return glb_bytes(document, self._binary)
 
     def _view(self, data: bytes) -> int:
         self._binary.extend(b"\0" * (-len(self._binary) % 4))
@@ -112,7 +106,7 @@ class _Document:
         return self._materials[material]
 
     def _source(self, m: Material) -> dict[str, Any]:
-        linear = [_linear(c) for c in m.base_color[:3]]
+        linear = linear_from_srgb(m.base_color[:3]).tolist()
         surface: dict[str, Any] = {
             "baseColorFactor": [*linear, m.base_color[3]], "metallicFactor": m.metallic, "roughnessFactor": m.roughness,
         }  # fmt: skip
@@ -145,11 +139,6 @@ class _Document:
         return self._textures[id(texture)]
 
 
-def _linear(value: float) -> float:
-    return value / 12.92 if value <= 0.04045 else float(((value + 0.055) / 1.055) ** 2.4)
-
-
 def _linear16(colors: NDArray[np.uint8]) -> NDArray[np.uint16]:
     """Returns (V, 4) linear red, green, blue and 1 as 16-bit numbers."""
-    table = np.array([round(65535.0 * _linear(k / 255.0)) for k in range(256)], dtype=np.uint16)
-    return np.concatenate([table[colors], np.full((len(colors), 1), 65535, dtype=np.uint16)], axis=1)
+    return np.concatenate([linear16_from_srgb8(colors), np.full((len(colors), 1), 65535, dtype=np.uint16)], axis=1)

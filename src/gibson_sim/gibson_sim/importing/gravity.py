@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.geometry.triangles import areas_of, unit_normals
 from gibson_sim.scenes.mesh_types import UpAxis
 
 F64 = NDArray[np.float64]
@@ -44,15 +45,6 @@ class UpGuess:
     """Whether it is known which end of ``axis`` is up; an empty room looks the same upside down."""
 
 
-def face_normals(vertices: F64, triangles: NDArray[np.integer]) -> tuple[F64, F64]:
-    """Returns unit normals (F, 3), 0 for those without area, and areas (F,)."""
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    cross = np.cross(b - a, c - a)
-    length = np.linalg.norm(cross, axis=1)
-    normals = np.divide(cross, length[:, None], out=np.zeros_like(cross), where=length[:, None] > 0)
-    return normals, length / 2
-
-
 def guess_up(vertices: F64, triangles: NDArray[np.integer]) -> UpGuess:
     """Returns where up is: the largest flat thing of an interior is its floor.
 
@@ -62,9 +54,8 @@ def guess_up(vertices: F64, triangles: NDArray[np.integer]) -> UpGuess:
         vertices: (V, 3).
         triangles: (F, 3).
     """
-    some = triangles[:: max(1, len(triangles) // _MOST_FACES)]
-    normals, areas = face_normals(vertices, some)
-    corners = vertices[some]
+    corners = vertices[triangles[:: max(1, len(triangles) // _MOST_FACES)]]
+    normals, areas = unit_normals(corners), areas_of(corners)
     centres = corners.mean(axis=1)
     found = [_level(normals, areas, centres, axis) for axis in range(3)]
     best = max(range(3), key=lambda axis: found[axis] * (_SURE if axis == 2 else 1.0))

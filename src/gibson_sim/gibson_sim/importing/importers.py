@@ -12,11 +12,12 @@ import numpy as np
 
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
-from gibson_sim.importing.document import BAKED_LIGHT, FloorPicture, ImportedObject, ImportedScene
+from gibson_sim.importing.document import BAKED_LIGHT, SIMPLIFIED, FloorPicture, ImportedObject, ImportedScene
 from gibson_sim.importing.floor_pictures import GIBSON_RESOLUTION
 from gibson_sim.importing.gravity import guess_up
 from gibson_sim.importing.hm3d import labelled_faces_of_textures
 from gibson_sim.importing.labels import LabelledFaces, class_name, habitat_classes, replica_classes, take_apart, transfer
+from gibson_sim.importing.scans import is_scan
 from gibson_sim.importing.sources import MAX_BYTES, Kind, Source
 from gibson_sim.importing.usd import read_usd
 from gibson_sim.robots.spec import Shape, VisualSpec
@@ -85,7 +86,7 @@ def _gibson(source: Source, choices: Choices) -> ImportedScene:
     mesh = _with_warnings(scene, _loader(source.folder, textures=False).mesh(source.file))
     labels = _semantic_obj(source) if source.semantics and choices.semantics else None
     if labels is None:
-        collision = coarse if coarse.is_file() else "same"
+        collision = SIMPLIFIED if is_scan(mesh) else coarse if coarse.is_file() else "same"
         scene.objects = [
             ImportedObject(scene.name, source.file, collision=collision, up_axis=choices.up_axis or "", unit_m=choices.unit_m)
         ]
@@ -133,7 +134,8 @@ def _semantic_obj(source: Source) -> tuple[LabelledFaces, dict[int, str]] | None
 def _replica(source: Source, choices: Choices) -> ImportedScene:
     scene = _scene(source, source.folder.resolve().name)
     if not (source.semantics and choices.semantics):
-        scene.objects = [ImportedObject(scene.name, source.file, up_axis=choices.up_axis or "", unit_m=choices.unit_m)]
+        mesh = _with_warnings(scene, _loader(source.folder, textures=False).mesh(source.file))
+        scene.objects = [_whole(scene.name, source, choices, mesh)]
         return scene
     labelled, classes = source.semantics
     ply = read_ply(labelled, _bytes(labelled))
@@ -203,8 +205,14 @@ def _single(scene: ImportedScene, source: Source, choices: Choices) -> ImportedS
     if up is None:
         up, upside_down = _up_of(scene, mesh)
         pose = pose_from_xyz_rpy((0.0, 0.0, 0.0), (math.pi, 0.0, 0.0)) if upside_down else pose
-    scene.objects = [ImportedObject(source.file.stem, source.file, pose, up_axis=up or "", unit_m=choices.unit_m)]
+    scene.objects = [replace(_whole(source.file.stem, source, choices, mesh), pose=pose, up_axis=up or "")]
     return scene
+
+
+def _whole(name: str, source: Source, choices: Choices, mesh: Mesh) -> ImportedObject:
+    """Returns the one object that a file is."""
+    collision = SIMPLIFIED if is_scan(mesh) else "same"
+    return ImportedObject(name, source.file, up_axis=choices.up_axis or "", unit_m=choices.unit_m, collision=collision)
 
 
 def _up_of(scene: ImportedScene, mesh: Mesh) -> tuple[UpAxis | None, bool]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import EnvironmentProblemError, MeshError, SceneError
+from gibson_sim.geometry.colours import srgb8_from_linear, srgb_from_linear
 from gibson_sim.importing.document import ImportedObject
 from gibson_sim.importing.labels import class_name
 from gibson_sim.scenes.mesh_types import (
@@ -23,8 +24,6 @@ from gibson_sim.scenes.mesh_types import (
     build_part,
     fan,
     index_corners,
-    srgb8_from_linear,
-    srgb_from_linear,
 )
 from gibson_sim.scenes.textures import TextureStore, is_inside
 
@@ -248,5 +247,5 @@ def _number(value: Any, default: float) -> float:
 
 
 def _srgb(color: Any) -> tuple[float, float, float]:
-    red, green, blue = (srgb_from_linear(float(c)) for c in color)
+    red, green, blue = srgb_from_linear([float(c) for c in color]).tolist()
     return red, green, blue

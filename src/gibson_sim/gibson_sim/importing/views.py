@@ -14,7 +14,9 @@ from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pose_from_xyz_rpy, quat_from_matrix
 from gibson_sim.render.cache import default_folder
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.scenes.floor_map import FloorMap, scene_floor_map
+from gibson_sim.scenes.floor_map import FLOOR_TOLERANCE, FloorMap, make_floor_map
+from gibson_sim.scenes.maps.bodies import still_visuals
+from gibson_sim.scenes.maps.traversability import scene_triangles
 from gibson_sim.scenes.mesh import collision_triangles
 from gibson_sim.scenes.spec import SceneSpec, drawn_scene
 from gibson_sim.types import CameraSpec, Pose, SceneState
@@ -48,14 +50,15 @@ def contact_sheet(scene: SceneSpec, views: int, *, floor_z: float | None = None)
         SceneError: the scene has no free floor.
     """
     level = scene if floor_z is None else replace(scene, floor_z=floor_z)
-    floor = scene_floor_map(level, robot_height=ROBOT_HEIGHT)
+    floor = _floor_with_bodies(level)
     candidates = free_places(floor, _PLACES)
     if not len(candidates):
         raise SceneError(
             f"scene {scene.name!r}: nothing is free on the floor at z = {level.floor_z:.2f} m; look at `gibson-sim scene check`"
         )
     overview = _from_above(level)
-    with Renderer(drawn_scene(replace(scene, robots=(), bodies=()), ()), cache=default_folder()) as renderer:
+    still = replace(scene, visuals=still_visuals(scene), robots=(), bodies=())
+    with Renderer(drawn_scene(still, ()), cache=default_folder()) as renderer:
         state = SceneState(0, 0, scene.revision, (), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6)))
         places, yaws = _best(renderer, state, candidates, level.floor_z + EYE_HEIGHT, views)
         eyes = [_eye(x, y, level.floor_z + EYE_HEIGHT, yaw) for (x, y), yaw in zip(places.tolist(), yaws, strict=True)]
@@ -66,6 +69,19 @@ def contact_sheet(scene: SceneSpec, views: int, *, floor_z: float | None = None)
     named.append(("from above", pictures[-1]))
     named.append((f"floor map, {floor.resolution:g} m a cell", map_picture(floor, places, yaws)))
     return sheet([(title, picture) for title, picture in named if picture is not None])
+
+
+def _floor_with_bodies(scene: SceneSpec) -> FloorMap:
+    """Returns the map of the floor that robots start on, with bodies where they stand at load."""
+    corners = scene_triangles(scene)
+    ground = scene.ground_z is not None and abs(scene.ground_z - scene.floor_z) <= FLOOR_TOLERANCE
+    return make_floor_map(
+        corners.reshape(-1, 3),
+        np.arange(3 * len(corners)).reshape(-1, 3),
+        floor_z=scene.floor_z,
+        robot_height=ROBOT_HEIGHT,
+        ground_plane=ground,
+    )
 
 
 def free_places(floor: FloorMap, count: int) -> F64:

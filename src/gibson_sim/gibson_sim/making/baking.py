@@ -19,6 +19,9 @@ from gibson_sim.making.building import Building
 from gibson_sim.making.building_file import Quality, write_plan
 from gibson_sim.making.pictures import write_thumbnail
 from gibson_sim.making.scene_folder import write_scene_folder
+from gibson_sim.making.surroundings import write_surroundings
+from gibson_sim.resources import cache_folder
+from gibson_sim.scenes.maps.scene_files import write_scene_files
 
 Tell = Callable[[str, float, float | None], None]
 """Told what is being done, how much is done (0 to 1), and how many seconds are left (None = not known)."""
@@ -56,17 +59,20 @@ def make_scene(
     work.mkdir(parents=True, exist_ok=True)
     write_plan(work / "plan.json", building, quality)
     _bake(python, work, tell)
-    write_scene_folder(building, quality, work, folder, command)
+    white = write_scene_folder(building, quality, work, folder, command)
+    tell("surroundings", 1.0, None)
+    write_surroundings(folder, building, white)
+    tell("maps", 1.0, None)
+    write_scene_files(folder)
     tell("thumbnail", 1.0, None)
     write_thumbnail(folder, building)
     shutil.rmtree(work)
 
 
 def work_folder(building: Building, quality: Quality) -> Path:
-    """Returns where unfinished atlases of a plan are kept: below ``$XDG_CACHE_HOME/gibson-sim/making``, or ``~/.cache``."""
-    base = os.environ.get("XDG_CACHE_HOME", "")
+    """Returns where unfinished atlases of a plan are kept."""
     key = hashlib.sha256(repr((building, quality, gibson_sim.__version__)).encode()).hexdigest()[:16]
-    return (Path(base) if base else Path.home() / ".cache") / "gibson-sim" / "making" / f"{building.name}-{key}"
+    return cache_folder("making") / f"{building.name}-{key}"
 
 
 def check_blender(python: str) -> None:

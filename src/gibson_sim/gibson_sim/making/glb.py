@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +9,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from gibson_sim.geometry.colours import linear_from_srgb
+from gibson_sim.scenes.glb_file import glb_bytes
 
 F64 = NDArray[np.float64]
 _ARRAY, _INDICES = 34962, 34963
@@ -90,9 +91,8 @@ def write_boxes(path: Path, boxes: ArrayLike) -> None:
 
 
 def _material(paint: Paint, textures: list[str]) -> dict[str, Any]:
-    red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in paint.color[:3])
     surface: dict[str, Any] = {
-        "baseColorFactor": [red, green, blue, paint.color[3]],
+        "baseColorFactor": [*linear_from_srgb(paint.color[:3]).tolist(), paint.color[3]],
         "metallicFactor": 0.0,
         "roughnessFactor": 1.0,
     }
@@ -145,12 +145,4 @@ class _Writer:
     def write(self, path: Path, document: dict[str, Any]) -> None:
         """Writes the file."""
         document |= {"accessors": self._accessors, "bufferViews": self._views, "buffers": [{"byteLength": len(self._binary)}]}
-        text = json.dumps(document, separators=(",", ":")).encode()
-        text += b" " * (-len(text) % 4)
-        chunks = (
-            struct.pack("<II", len(text), 0x4E4F534A)
-            + text
-            + struct.pack("<II", len(self._binary), 0x004E4942)
-            + bytes(self._binary)
-        )
-        path.write_bytes(struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks)
+        path.write_bytes(glb_bytes(document, self._binary))

@@ -5,12 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gibson_sim.geometry.colours import LUMINANCE, srgb_from_linear
+
 F32 = NDArray[np.float32]
 _MIDDLE = 0.48
 """Linear brightness that the middle of a scene's tones gets before the curve."""
 _BALANCE = 0.6
 """Part of the tint of all light that is taken out."""
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+_SHUT = 1e-6
+_RUN = 3
+"""Pixels."""
 _SHOULDER = 4.2
 """Linear brightness that becomes white."""
 
@@ -35,6 +39,29 @@ def filled(image: F32, covered: NDArray[np.bool_]) -> F32:
         above = np.pad(above, [*short, (0, 0)], mode="edge")
         result = color + above[: color.shape[0], : color.shape[1]] * (1 - part)
     return np.asarray(result, dtype=np.float32)
+
+
+def hidden(openness: F32, covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Returns what lies within something else, as a wall does behind its skirting, (H, W).
+
+    That is where runs of pixels are open nowhere. In corners, too, some are by chance, but seldom three in a row.
+
+    Args:
+        openness: (H, W): part of the directions in which nothing is near, with its noise.
+        covered: (H, W): where there is a surface.
+    """
+    shut = covered & (openness <= _SHUT)
+    return np.asarray((_opened(shut, 0) | _opened(shut, 1)) & shut)
+
+
+def _opened(mask: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:
+    """Returns what belongs to runs of at least ``_RUN`` along an axis."""
+    width = [(0, 0), (0, 0)]
+    width[axis] = (_RUN - 1, _RUN - 1)
+    padded = np.pad(mask, width)
+    length = mask.shape[axis]
+    starts = np.logical_and.reduce([padded.take(range(k, k + length + _RUN - 1), axis) for k in range(_RUN)])
+    return np.asarray(np.logical_or.reduce([starts.take(range(k, k + length), axis) for k in range(_RUN)]))
 
 
 def _grown(image: F32, covered: F32) -> tuple[F32, F32]:
@@ -68,10 +95,10 @@ def exposure_of(samples: list[F32]) -> F32:
         samples: (N, 3) linear colours in their light. What lies in the dark, behind and below things, does not count.
     """
     values = np.concatenate([a.reshape(-1, 3) for a in samples]).astype(np.float64)
-    bright = values @ _LUMINANCE
+    bright = values @ LUMINANCE
     seen = bright > 0.06 * np.percentile(bright, 90)
     mean = values[seen].mean(axis=0)
-    balance = (mean @ _LUMINANCE / np.maximum(mean, 1e-6)) ** _BALANCE
+    balance = (mean @ LUMINANCE / np.maximum(mean, 1e-6)) ** _BALANCE
     middle = np.exp(np.log(bright[seen]).mean())
     return np.asarray(balance * _MIDDLE / max(middle, 1e-6), dtype=np.float32)
 
@@ -85,8 +112,7 @@ def toned(linear: ArrayLike) -> NDArray[np.uint8]:
     color = np.maximum(np.asarray(linear, dtype=np.float32), 0.0)
     peak = np.maximum(color.max(axis=-1, keepdims=True), 1e-6)
     kept = color * (_curve(peak) / peak)
-    mixed = 0.55 * kept + 0.45 * _curve(color)
-    srgb = np.where(mixed <= 0.0031308, 12.92 * mixed, 1.055 * np.maximum(mixed, 1e-6) ** (1 / 2.4) - 0.055)
+    srgb = srgb_from_linear(0.55 * kept + 0.45 * _curve(color))
     # A little more contrast about the middle, as pictures of cameras have.
     curved = srgb + 0.13 * (srgb - 0.5) * (1 - (2 * srgb - 1) ** 2) * 2
     return np.asarray(np.clip(np.round(curved * 255), 0, 255), dtype=np.uint8)

@@ -13,19 +13,22 @@ import yaml
 from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
+from gibson_sim.geometry.colours import linear_from_srgb
 from gibson_sim.making.building import Building
 from gibson_sim.making.building_file import Quality
 from gibson_sim.making.glb import Paint, Patch, write_boxes, write_glb
 from gibson_sim.making.outside import outside
 from gibson_sim.making.pixels import F32, doubled, exposure_of, filled, toned
+from gibson_sim.making.surroundings import ASSETS, SURROUNDINGS, plain_surroundings
 
-ASSETS = "assets"
 OUTSIDE = "outside.jpg"
 LIMIT_BYTES = 12_000_000
 _GLASS_ALPHA = 0.16
 _NARROW_PX = 22
 _REFLECTED = 0.88
 """Part of the light that a mirror gives back."""
+_ROOM_CLASSES = {"living": "living_room", "meeting": "meeting_room"}
+"""Kinds of rooms in plans that scenes call otherwise."""
 _LICENSE = """CC0 1.0 Universal (Public Domain Dedication)
 
 To the extent possible under law, the makers of this scene have waived all copyright and related or neighbouring rights to all files in this
@@ -35,8 +38,8 @@ The scene was made by `{command}`; nothing in it was taken from elsewhere.
 """
 
 
-def write_scene_folder(building: Building, quality: Quality, work: Path, folder: Path, command: str) -> None:
-    """Writes all files of a scene but the thumbnail.
+def write_scene_folder(building: Building, quality: Quality, work: Path, folder: Path, command: str) -> float:
+    """Writes all files of a scene but the thumbnail and what else is made by looking at it.
 
     Args:
         building: the plan.
@@ -45,15 +48,19 @@ def write_scene_folder(building: Building, quality: Quality, work: Path, folder:
         folder: of the scene; what it held of these files is replaced.
         command: that made it.
 
+    Returns:
+        How bright a white surface mostly is in it, linear.
+
     Raises:
         SceneError: something was not baked, or the scene is too large.
     """
     mesh = _load(work / "mesh.npz")
     assets = folder / ASSETS
     assets.mkdir(parents=True, exist_ok=True)
-    for old in [*assets.glob("*.glb"), *assets.glob("*.jpg")]:
+    for old in [*assets.glob("*.glb"), *assets.glob("*.jpg"), *assets.glob("*.hdr")]:
         old.unlink()
-    _write_atlases(mesh, work, assets, sorted({int(k) for k in mesh["atlas"] if k >= 0}), quality)
+    white = _write_atlases(mesh, work, assets, sorted({int(k) for k in mesh["atlas"] if k >= 0}), quality)
+    plain_surroundings(assets / SURROUNDINGS, white)
     _write_image(assets / OUTSIDE, outside(building.seed), quality.jpeg)
     objects = _write_objects(mesh, assets)
     text = yaml.dump(
@@ -64,6 +71,7 @@ def write_scene_folder(building: Building, quality: Quality, work: Path, folder:
     size = sum(f.stat().st_size for f in folder.rglob("*") if f.is_file())
     if size > LIMIT_BYTES:
         raise SceneError(f"{folder}: has {size / 1e6:.1f} MB, more than {LIMIT_BYTES / 1e6:.0f}; take a lower quality")
+    return white
 
 
 def _load(path: Path) -> dict[str, NDArray[Any]]:
@@ -74,7 +82,8 @@ def _load(path: Path) -> dict[str, NDArray[Any]]:
         raise SceneError(f"{path}: cannot be read: {e}; bake the scene again") from e
 
 
-def _write_atlases(mesh: dict[str, NDArray[Any]], work: Path, assets: Path, atlases: Iterable[int], quality: Quality) -> None:
+def _write_atlases(mesh: dict[str, NDArray[Any]], work: Path, assets: Path, atlases: Iterable[int], quality: Quality) -> float:
+    """Writes the atlases; returns how bright a white surface mostly is in them, linear."""
     images = []
     for k in atlases:
         try:
@@ -85,11 +94,19 @@ def _write_atlases(mesh: dict[str, NDArray[Any]], work: Path, assets: Path, atla
         image = compose(color, light)
         for uv, reflected in _mirrors(work, k):
             put_mirror(image, uv, reflected)
-        images.append((k, image, color[..., 3] > 0.5))
-    exposure = exposure_of([image[covered][:: max(1, covered.sum() // 50_000)] for _, image, covered in images])
-    for k, image, _ in images:
-        pixels = toned(image * exposure)[::-1]
-        _write_image(assets / f"atlas_{k}.jpg", pixels, quality.jpeg)
+        some = np.flatnonzero(color[..., 3] > 0.5)[:: max(1, image[..., 0].size // 50_000)]
+        images.append((k, image, image.reshape(-1, 3)[some], color[..., :3].reshape(-1, 3)[some]))
+    exposure = exposure_of([seen for _, _, seen, _ in images])
+    for k, image, _, _ in images:
+        _write_image(assets / f"atlas_{k}.jpg", toned(image * exposure)[::-1], quality.jpeg)
+    white = [_white(linear_from_srgb(toned(seen * exposure) / 255), colors) for _, _, seen, colors in images]
+    return float(np.median(np.concatenate(white)))
+
+
+def _white(shown: NDArray[np.float64], colors: F32) -> NDArray[np.float64]:
+    """Returns how bright white would be shown at each of N pixels that are neither dark nor in the dark."""
+    own, there = colors.mean(axis=1), shown.mean(axis=1)
+    return np.asarray((there / np.maximum(own, 1e-6))[(own > 0.2) & (there > 0.05)])
 
 
 def _write_image(path: Path, rgb: NDArray[np.uint8], jpeg: int) -> None:
@@ -206,9 +223,10 @@ def _description(building: Building, objects: list[dict[str, Any]], command: str
         "ground_z": building.storeys[0].floor_z,
         "floor_z": building.storeys[0].floor_z,
         "floors": [storey.floor_z for storey in building.storeys],
+        "rooms": rooms_document(building),
         "light": {
             "sun_direction": list(building.sun_direction), "sun": 0.0, "ambient": 0.0, "background": [0.93, 0.96, 0.98],
-            "environment": f"{ASSETS}/{OUTSIDE}", "environment_strength": 1.0,
+            "environment": f"{ASSETS}/{SURROUNDINGS}", "backdrop": f"{ASSETS}/{OUTSIDE}",
         },
         "starts": starts,
         "objects": objects,
@@ -216,6 +234,20 @@ def _description(building: Building, objects: list[dict[str, Any]], command: str
     if building.bodies:
         document["bodies"] = [_body(body) for body in building.bodies]
     return document
+
+
+def rooms_document(building: Building) -> list[dict[str, Any]]:
+    """Returns the content of ``rooms`` in scene.yaml: every room to the middle lines of its walls."""
+    return [
+        {
+            "name": room.name,
+            "class": _ROOM_CLASSES.get(room.kind, room.kind),
+            "floor": number,
+            "polygon": [[round(float(x), 3), round(float(y), 3)] for x, y in room.corners],
+        }
+        for number, storey in enumerate(building.storeys)
+        for room in storey.rooms
+    ]
 
 
 def _body(body: Any) -> dict[str, Any]:

@@ -12,9 +12,14 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from gibson_sim.errors import MeshError, PhysicsError
-from gibson_sim.geometry.transforms import Mat4, matrices_from_poses, quat_from_matrix, transform_points
-from gibson_sim.physics.bullet import Bullet, BulletBody
+from gibson_sim.geometry.transforms import Mat4, invert, matrices_from_poses, quat_from_matrix, transform_points
+from gibson_sim.physics.bullet import Bullet
+from gibson_sim.physics.engine_types import BulletBody
 from gibson_sim.physics.frames import FrameTable, right_multiplication
+from gibson_sim.physics.joint_motors import JointMotors, has_motor
+from gibson_sim.physics.kinematics import Chain
+from gibson_sim.physics.link_shapes import LinkShapes
+from gibson_sim.robots.joint_commands import JointCommand
 from gibson_sim.robots.rigid import MOVING_TYPES, RigidGroup, physics_urdf, rigid_groups
 from gibson_sim.robots.spec import Shape
 from gibson_sim.robots.urdf import UrdfModel
@@ -47,6 +52,8 @@ class BodyInWorld:
         """Names of all links, the root first, without the body name."""
         self.full_links = tuple(f"{name}/{link}" for link in self.links)
         """The same with it: ``<body>/<link>``."""
+        self.moving_joints = tuple(joint.name for joint in model.joints if joint.kind in MOVING_TYPES)
+        """Names, in the order of the URDF."""
         groups, warnings = rigid_groups(model, fixed_root=static)
         self.warnings = [*model.warnings, *warnings]
         self._groups = tuple(self._readable(bullet, group) for group in groups)
@@ -54,6 +61,8 @@ class BodyInWorld:
         self.load(bullet)
         self.table = self._frame_table()
         self._root_table = self.table.root
+        self._chains: dict[tuple[str, tuple[str, ...] | None], Chain] = {}
+        self._link_shapes: dict[int, LinkShapes] = {}
         self._outlines: list[tuple[int, Shape, Mat4, NDArray[np.float64]]] | None = None
 
     def load(self, bullet: Bullet) -> None:
@@ -61,16 +70,46 @@ class BodyInWorld:
         self.body: BulletBody = bullet.load_urdf(self._urdf, self.start, self.name, static=self.static, sleeps=self.sleeps)
         for name, position in self._start_joints.items():
             if name not in self.body.joint_indices:
-                known = ", ".join(joint.name for joint in self.model.joints if joint.kind in MOVING_TYPES) or "none"
+                known = ", ".join(self.moving_joints) or "none"
                 raise PhysicsError(f"{self.name!r} has no joint {name!r} that moves; known: {known}")
             bullet.place_joint(self.body, self.body.joint_indices[name], position)
-        self._hold_joints(bullet)
+        self.motors: JointMotors | None = None
+        """None = no joint was ever commanded."""
+        self._ready_motors(bullet)
 
-    def _hold_joints(self, bullet: Bullet) -> None:
+    def _ready_motors(self, bullet: Bullet) -> None:
         """A body without motors: doors and drawers swing freely, slowed by what friction and damping its joints have."""
         for joint in self.model.joints:
             if joint.kind in ("revolute", "prismatic", "continuous") and joint.damping:
                 bullet.damp_joint(self.body, self.body.joint_indices[joint.name], joint.damping)
+
+    def command_joints(self, bullet: Bullet, command: JointCommand, now_ns: int) -> None:
+        """Obeys ``command`` from the next step on; see ``JointMotors.command``."""
+        if self.motors is None:
+            self.motors = JointMotors(self.body, [joint for joint in self.model.joints if has_motor(joint)])
+        self.motors.command(bullet, command, now_ns)
+
+    def forget_commands(self, bullet: Bullet, now_ns: int) -> None:
+        """Lets joints that move stand still, until they are told something new."""
+        if self.motors is not None:
+            self.motors.stop(bullet, now_ns)
+
+    def actuate_joints(self, bullet: Bullet, now_ns: int, dt: float) -> None:
+        """Sets the motors of the joints for the step that begins at ``now_ns`` and lasts ``dt`` seconds."""
+        if self.motors is not None:
+            self.motors.actuate(bullet, now_ns, dt)
+
+    def joint_positions(self, bullet: Bullet) -> dict[str, float]:
+        """Returns the positions of all joints that move, radians or metres."""
+        angles = bullet.joint_angles(self.body, [self.body.joint_indices[name] for name in self.moving_joints])
+        return dict(zip(self.moving_joints, angles, strict=True))
+
+    def chain(self, tip: str, joints: Sequence[str] | None = None) -> Chain:
+        """Returns the joints between the root and a link; see ``Chain``."""
+        key = tip, None if joints is None else tuple(joints)
+        if key not in self._chains:
+            self._chains[key] = Chain(self.model, tip, joints)
+        return self._chains[key]
 
     def root_state(self, bullet: Bullet) -> tuple[Pose, NDArray[np.float64], NDArray[np.float64]]:
         """Returns T_world_root, linear (m/s) and angular (rad/s) velocity of the root link's origin, world frame."""
@@ -111,6 +150,36 @@ class BodyInWorld:
 
     def _row(self, group: RigidGroup) -> int:
         return 0 if group.joint is None else 1 + self.body.joint_indices[group.joint.name]
+
+    def row_of_link(self, link: str) -> int:
+        """Returns which row of ``Bullet.raw_states`` moves a link: 0 = the root; the engine's own number is one less."""
+        return int(self.table.rows[self._number(link)])
+
+    def link_position(self, bullet: Bullet, link: str) -> Vec3:
+        """Returns the origin of a link, world frame, metres."""
+        positions, _, _ = self.table.links(np.array(bullet.raw_states(self.body)))
+        x, y, z = positions[self._number(link)].tolist()
+        return x, y, z
+
+    def link_at(self, bullet: Bullet, row: int, point: Vec3) -> str:
+        """Returns the link to which a point on the surface of the engine's link ``row`` (-1 = the root) belongs.
+
+        Args:
+            bullet: The engine.
+            row: Its number.
+            point: World frame, metres.
+        """
+        group = next(group for group in self._groups if self._row(group) == row + 1)
+        if row not in self._link_shapes:
+            self._link_shapes[row] = LinkShapes(self.model, group)
+        positions, quats, _, _ = self.table.groups(np.array(bullet.raw_states(self.body)))
+        T_group_world = invert(matrices_from_poses(positions, quats)[row + 1])
+        return self._link_shapes[row].nearest(T_group_world[:3, :3] @ np.array(point) + T_group_world[:3, 3])
+
+    def _number(self, link: str) -> int:
+        if link not in self.links:
+            raise PhysicsError(f"{self.name!r} has no link {link!r}; known: {', '.join(self.links)}")
+        return self.links.index(link)
 
     def link_of_row(self, row: int) -> str:
         """Returns the name of the link whose rigid group is the engine's link ``row`` (-1 = the root)."""

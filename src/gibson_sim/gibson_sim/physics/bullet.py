@@ -1,4 +1,4 @@
-"""PyBullet behind one class: the only file that imports it.
+"""PyBullet behind one class.
 
 What callers may rely on: every call goes to its own client; poses are those of URDF LINK FRAMES and velocities those of their
 origins (PyBullet speaks of centres of mass); quaternions are (x, y, z, w); nothing is written to the terminal.
@@ -7,15 +7,10 @@ Not thread-safe: one owner thread for each client.
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
 import hashlib
-import logging
 import os
-import sys
 import tempfile
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,118 +18,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import PhysicsError
-from gibson_sim.physics.frames import cross, product, right_multiplication, turn
+from gibson_sim.physics.engine import pybullet as p, quiet
+from gibson_sim.physics.engine_types import BulletBody, EngineContact, JointReading
+from gibson_sim.physics.frames import cross, product, turn
+from gibson_sim.physics.mesh_pieces import mesh_pieces
+from gibson_sim.physics.obj_text import to_obj
+from gibson_sim.physics.sleeping import Sleepers
 from gibson_sim.types import Pose, Quat, Vec3
-
-logger = logging.getLogger(__name__)
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Takes what C code writes to stdout and stderr in the meantime and logs it at DEBUG.
-
-    PyBullet writes its build date, and every warning of its file readers, straight to the file descriptors.
-    """
-    libc = ctypes.CDLL(None)
-    with contextlib.ExitStack() as stack:
-        sink = stack.enter_context(tempfile.TemporaryFile())
-        for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(OSError, ValueError, AttributeError):  # a closed or replaced stream has nothing to flush
-                stream.flush()
-        libc.fflush(None)
-        try:
-            saved = [(fd, os.dup(fd)) for fd in (1, 2)]
-        except OSError:  # a process without stdout or stderr (a daemon) has nothing to protect
-            saved = []
-        for fd, _ in saved:
-            os.dup2(sink.fileno(), fd)
-        try:
-            yield
-        finally:
-            libc.fflush(None)
-            for fd, copy in saved:
-                os.dup2(copy, fd)
-                os.close(copy)
-            sink.seek(0)
-            for line in sink.read().decode(errors="replace").splitlines():
-                if line.strip():
-                    logger.debug("bullet: %s", line.strip())
-
-
-with _quiet():
-    import pybullet as p
 
 _RAYS_PER_CALL = 16_000
 """PyBullet refuses batches above 16,384."""
-_VERTEX_LIMIT = 131_000
-"""Vertices of one collision shape; PyBullet refuses arrays above 131,072 vertices or 524,288 indices."""
-_TRIANGLE_LIMIT = 174_000
-_VOXELS = 50_000
-"""That V-HACD cuts a mesh into."""
 _FIRST_RAY_BIT = 6
-_SLEEP_THRESHOLD = 2.5e-5
-"""Sum of the squares of all speeds (m/s, rad/s) of a body below which it falls asleep after 2 s: a few millimetres a second."""
 MAX_BODIES_WITH_RAYS = 24
 """Bodies that rays can leave out: each needs a bit of the 32-bit collision group; Bullet owns the lowest six."""
-
-
-@dataclass(frozen=True, slots=True)
-class JointReading:
-    """Joints of one body, in the order asked for."""
-
-    positions: NDArray[np.float64]
-    velocities: NDArray[np.float64]
-    efforts: NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class EngineContact:
-    """A point at which a body touches another one."""
-
-    link: int
-    """Of the body asked about; -1 = the root."""
-    other: str
-    """Name of the other body, or of the static shape."""
-    other_link: int
-    position: Vec3
-    """On the other body, world frame, metres."""
-    normal: Vec3
-    """From the other body to this one, unit vector, world frame."""
-    force: float
-    """N, along the normal."""
-    distance: float
-    """Metres between the two surfaces; negative = they overlap."""
-
-
-class BulletBody:
-    """What was found out once about a body with joints."""
-
-    __slots__ = (
-        "joint_indices",
-        "link_count",
-        "link_indices",
-        "link_turns",
-        "links_in_inertial",
-        "ray_bit",
-        "root_inertial",
-        "uid",
-    )
-
-    def __init__(self, uid: int, joint_indices: dict[str, int], inertial_poses: Sequence[tuple[Vec3, Quat]]) -> None:
-        self.uid = uid
-        self.joint_indices = joint_indices
-        self.link_count = len(inertial_poses) - 1
-        """Links below the root."""
-        self.link_indices = tuple(range(self.link_count))
-        conjugates = [(-x, -y, -z, w) for _, (x, y, z, w) in inertial_poses]
-        self.links_in_inertial = -turn(np.array(conjugates), np.array([position for position, _ in inertial_poses]))
-        """(N, 3): origins of the link frames in the frame that Bullet moves: centre of mass and principal axes."""
-        self.link_turns = np.array([right_multiplication(quat) for quat in conjugates])
-        """(N, 4, 4): multiply a quaternion of the principal axes to that of the link frame."""
-        self.root_inertial = inertial_poses[0]
-        """Position and quaternion of what Bullet moves in the root link's frame."""
-        self.ray_bit = 0
-        """Bit of the collision group that rays can leave out; 0 = rays always hit it."""
 
 
 class Bullet:
@@ -142,20 +38,18 @@ class Bullet:
 
     def __init__(self, step_hz: int, gravity: Vec3) -> None:
         self._folder: tempfile.TemporaryDirectory[str] | None = None
-        with _quiet():
+        with quiet():
             self._client: int | None = p.connect(p.DIRECT)
         if self._client < 0:
             self._client = None
             raise PhysicsError("PyBullet gives no more clients; close worlds that are no longer used")
         self._names: dict[int, str] = {}
         """The engine's number of a body -> its name."""
-        self._sleepers: set[int] = set()
-        """The engine's numbers of bodies that may fall asleep."""
-        self._wake = False
-        self._thrown: dict[int, tuple[list[float], list[float]]] = {}
-        """The same, with the velocities that they were given since the last step."""
+        self._static: set[int] = set()
+        """Those of static shapes."""
         self._ray_bits = set(range(_FIRST_RAY_BIT, _FIRST_RAY_BIT + MAX_BODIES_WITH_RAYS))
         self._ray_threads = min(4, os.cpu_count() or 1)
+        self._sleepers = Sleepers(self._client)
         p.setTimeStep(1.0 / step_hz, physicsClientId=self._client)
         p.setGravity(*gravity, physicsClientId=self._client)
         p.setPhysicsEngineParameter(
@@ -182,7 +76,7 @@ class Bullet:
         """Frees the engine; a second call does nothing."""
         client, self._client = self._client, None
         if client is not None:
-            with _quiet():
+            with quiet():
                 p.disconnect(physicsClientId=client)
         if self._folder is not None:
             self._folder.cleanup()
@@ -190,16 +84,10 @@ class Bullet:
 
     def step(self) -> None:
         """Advances by one time step."""
-        if self._wake:
-            self._wake = False
-            for uid in sorted(self._sleepers):
-                p.changeDynamics(uid, -1, activationState=p.ACTIVATION_STATE_WAKE_UP, physicsClientId=self.client)
-        p.stepSimulation(physicsClientId=self.client)
-        # Who slept stands still in the step that wakes it, and forgets how it was thrown.
-        for uid, (linear, angular) in self._thrown.items():
-            if not any(map(any, p.getBaseVelocity(uid, physicsClientId=self.client))):
-                p.resetBaseVelocity(uid, linear, angular, physicsClientId=self.client)
-        self._thrown.clear()
+        client = self.client
+        self._sleepers.wake_what_must()
+        p.stepSimulation(physicsClientId=client)
+        self._sleepers.throw_again()
 
     # Static shapes
 
@@ -230,8 +118,8 @@ class Bullet:
             name: for error messages.
         """
         shapes = []
-        for points, corners in _pieces(vertices, triangles):
-            with _quiet():
+        for points, corners in mesh_pieces(vertices, triangles):
+            with quiet():
                 uid = p.createCollisionShape(
                     p.GEOM_MESH, vertices=points.tolist(), indices=corners.ravel().tolist(),
                     flags=p.GEOM_FORCE_CONCAVE_TRIMESH | p.GEOM_CONCAVE_INTERNAL_EDGE, physicsClientId=self.client,
@@ -252,6 +140,7 @@ class Bullet:
                 physicsClientId=self.client,
             )
             self._names[self._checked(uid, "static body")] = name
+            self._static.add(uid)
             p.changeDynamics(uid, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=self.client)
 
     @staticmethod
@@ -276,17 +165,15 @@ class Bullet:
             vertices: (V, 3), metres.
             triangles: (T, 3) indices into ``vertices``.
         """
-        lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
-        lines += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
-        text = "\n".join(lines) + "\n"
+        text = to_obj(vertices, triangles)
         path = self.folder / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.obj"
         if not path.is_file():
             path.write_text(text)
         return path
 
-    def wake_all(self) -> None:
-        """Lets no body sleep on in the next step: what moves by itself wakes what it touches, what is put somewhere does not."""
-        self._wake = True
+    def wake(self, body: BulletBody) -> None:
+        """Lets the body not sleep on in the next step; what moves by itself wakes what it touches."""
+        self._sleepers.wake(body)
 
     def load_urdf(self, text: str, pose: Pose, name: str, *, static: bool = False, sleeps: bool = False) -> BulletBody:
         """Adds a body whose root link frame is at ``pose``; its motors are off.
@@ -303,7 +190,7 @@ class Bullet:
         flags = p.URDF_USE_INERTIA_FROM_FILE | p.URDF_MAINTAIN_LINK_ORDER | p.URDF_USE_IMPLICIT_CYLINDER
         flags |= p.URDF_ENABLE_SLEEPING if sleeps else 0
         try:
-            with _quiet():
+            with quiet():
                 uid = p.loadURDF(
                     str(path), pose.position, pose.quat_xyzw, useFixedBase=static, flags=flags, physicsClientId=self.client
                 )
@@ -322,10 +209,8 @@ class Bullet:
             if p.getJointInfo(uid, i, physicsClientId=self.client)[2] != p.JOINT_FIXED:
                 p.setJointMotorControl2(uid, i, p.VELOCITY_CONTROL, force=0.0, physicsClientId=self.client)
         if sleeps:
-            self._sleepers.add(uid)
-            state = p.ACTIVATION_STATE_ENABLE_SLEEPING
-            p.changeDynamics(uid, -1, activationState=state, sleepThreshold=_SLEEP_THRESHOLD, physicsClientId=self.client)
-        self.wake_all()
+            self._sleepers.add(body)
+        self._sleepers.wake_beside(body)
         return body
 
     def let_rays_pass(self, body: BulletBody, name: str) -> None:
@@ -339,11 +224,9 @@ class Bullet:
 
     def remove(self, body: BulletBody) -> None:
         """Takes a body out of the world."""
+        self._sleepers.remove(body)
         p.removeBody(body.uid, physicsClientId=self.client)
         del self._names[body.uid]
-        self._sleepers.discard(body.uid)
-        self._thrown.pop(body.uid, None)
-        self.wake_all()
         if body.ray_bit:
             self._ray_bits.add(body.ray_bit)
 
@@ -351,8 +234,9 @@ class Bullet:
         """Puts the root link's frame at ``pose`` (T_world_root); joints and velocities stay."""
         quat = product(pose.quat_xyzw, body.root_inertial[1])
         center = np.array(pose.position) - turn(np.array([quat]), body.links_in_inertial[:1])[0]
+        self._sleepers.wake_beside(body)
         p.resetBasePositionAndOrientation(body.uid, center.tolist(), quat, physicsClientId=self.client)
-        self.wake_all()
+        self._sleepers.wake_beside(body)
 
     def set_velocity(self, body: BulletBody, quat_xyzw: Quat, linear: NDArray[np.float64], angular: NDArray[np.float64]) -> None:
         """Sets the velocity of the root link's origin.
@@ -366,31 +250,45 @@ class Bullet:
         to_frame = turn(np.array([product(quat_xyzw, body.root_inertial[1])]), body.links_in_inertial[:1])[0]
         center = linear - cross(angular[None], to_frame[None])[0]
         p.resetBaseVelocity(body.uid, center.tolist(), angular.tolist(), physicsClientId=self.client)
-        if body.uid in self._sleepers:
-            self._thrown[body.uid] = (center.tolist(), angular.tolist())
-        self.wake_all()
+        self._sleepers.throw(body, center.tolist(), angular.tolist())
 
     def place_joint(self, body: BulletBody, index: int, position: float) -> None:
         """Puts a joint at ``position`` (radians or metres), at rest."""
+        self._sleepers.wake_beside(body)
         p.resetJointState(body.uid, index, position, 0.0, physicsClientId=self.client)
-        self.wake_all()
+        self._sleepers.wake_beside(body)
 
     def damp_joint(self, body: BulletBody, index: int, damping: float) -> None:
         """Slows a joint by ``damping`` (N m s/rad or N s/m) times its speed."""
         p.changeDynamics(body.uid, index, jointDamping=damping, physicsClientId=self.client)
 
-    def contacts(self, body: BulletBody) -> list[EngineContact]:
-        """Returns what touches the body; it is always ``a``."""
-        points = p.getContactPoints(bodyA=body.uid, physicsClientId=self.client) or ()
-        out = []
-        for point in points:
-            _, a, b, link_a, link_b, _, position, normal, distance, force = point[:10]
-            if a != body.uid:
-                a, b, link_a, link_b, normal = b, a, link_b, link_a, tuple(-c for c in normal)
-                position = point[5]
-            if force > 0.0 or distance <= 0.0:
-                out.append(EngineContact(link_a, self._names.get(b, ""), link_b, position, normal, force, distance))
-        return out
+    def contacts(self, body: BulletBody | None = None) -> list[EngineContact]:
+        """Returns what touched the body in the last step; None = what touched any body, each point once, static shapes as the other."""
+        if body is None:
+            points = p.getContactPoints(physicsClientId=self.client) or ()
+            found = [self._contact(point, point[2] if point[1] in self._static else point[1]) for point in points]
+        else:
+            points = p.getContactPoints(bodyA=body.uid, physicsClientId=self.client) or ()
+            found = [self._contact(point, body.uid) for point in points]
+        return [contact for contact in found if contact.force > 0.0 or contact.distance <= 0.0]
+
+    def beside(self, body: BulletBody, link: int, radius: float) -> set[int]:
+        """Returns the engine's numbers of bodies whose boxes are within ``radius`` metres of that of a link (-1 = the root)."""
+        low, high = p.getAABB(body.uid, link, physicsClientId=self.client)
+        low, high = [c - radius for c in low], [c + radius for c in high]
+        return {uid for uid, _ in p.getOverlappingObjects(low, high, physicsClientId=self.client) or ()}
+
+    def gaps(self, body: BulletBody, link: int, other: BulletBody, radius: float) -> list[EngineContact]:
+        """Returns where a link (-1 = the root) and the links of another body are nearest, if within ``radius`` metres; no forces."""
+        points = p.getClosestPoints(body.uid, other.uid, radius, linkIndexA=link, physicsClientId=self.client) or ()
+        return [self._contact(point, body.uid) for point in points]
+
+    def _contact(self, point: tuple[Any, ...], uid: int) -> EngineContact:
+        """Returns a point as PyBullet gives it, as seen by the body ``uid``."""
+        _, a, b, link_a, link_b, on_a, on_b, normal, distance, force = point[:10]
+        if a != uid:
+            a, b, link_a, link_b, on_a, on_b, normal = b, a, link_b, link_a, on_b, on_a, tuple(-c for c in normal)
+        return EngineContact(self._names.get(a, ""), link_a, self._names.get(b, ""), link_b, on_b, on_a, normal, force, distance)
 
     def raw_states(self, body: BulletBody) -> list[tuple[float, ...]]:
         """Returns 13 numbers of the root and of every link below it: see ``frames.FrameTable.groups``."""
@@ -444,54 +342,3 @@ class Bullet:
             )  # fmt: skip
             fractions.extend([hit[2] if hit[0] >= 0 else np.inf for hit in hits])
         return np.array(fractions, dtype=np.float64)
-
-
-def convex_parts(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int64]
-) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
-    """Returns convex parts that together fill about what a mesh fills, each as vertices (V, 3) and triangles (F, 3); V-HACD makes them.
-
-    Args:
-        vertices: (V, 3).
-        triangles: (F, 3).
-
-    Raises:
-        PhysicsError: it makes none.
-    """
-    with tempfile.TemporaryDirectory(prefix="gibson_sim_parts_") as folder:
-        whole, parts = Path(folder, "whole.obj"), Path(folder, "parts.obj")
-        with whole.open("w", encoding="ascii") as file:
-            file.writelines(f"v {x!r} {y!r} {z!r}\n" for x, y, z in vertices.tolist())
-            file.writelines(f"f {a} {b} {c}\n" for a, b, c in (triangles + 1).tolist())
-        with _quiet():
-            p.vhacd(str(whole), str(parts), str(Path(folder, "log.txt")), resolution=_VOXELS)
-        lines = parts.read_text(encoding="ascii").splitlines() if parts.is_file() else []
-    points = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], dtype=np.float64).reshape(-1, 3)
-    out, faces = [], []
-    for line in [*lines, "o end"]:
-        if line.startswith("f "):
-            faces.append([int(corner) - 1 for corner in line.split()[1:4]])
-        elif line.startswith("o ") and faces:
-            used, corners = np.unique(np.array(faces, dtype=np.int64), return_inverse=True)
-            out.append((points[used], corners.reshape(-1, 3)))
-            faces = []
-    if not out:
-        raise PhysicsError(f"V-HACD makes no convex parts of a mesh with {len(triangles)} triangles; is it flat, or empty?")
-    return out
-
-
-def _pieces(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int64]
-) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
-    """Yields (vertices, triangles) of pieces below the size limit, cut across the longest axis so that each is compact."""
-    if len(triangles) <= _TRIANGLE_LIMIT:
-        used, corners = np.unique(triangles, return_inverse=True)
-        if len(used) <= _VERTEX_LIMIT:
-            yield vertices[used], corners.reshape(-1, 3)
-            return
-    centers = vertices[triangles].mean(axis=1)
-    axis = int(np.argmax(np.ptp(centers, axis=0)))
-    order = np.argsort(centers[:, axis], kind="stable")
-    half = len(order) // 2
-    yield from _pieces(vertices, triangles[order[:half]])
-    yield from _pieces(vertices, triangles[order[half:]])

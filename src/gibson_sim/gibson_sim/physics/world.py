@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import TracebackType
 from typing import Any
@@ -12,25 +12,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gibson_sim.errors import CommandError, ConfigError, MeshError, PhysicsError
-from gibson_sim.geometry.transforms import Mat4, turned
+from gibson_sim.errors import CommandError, ConfigError, PhysicsError
+from gibson_sim.geometry.transforms import Mat4, invert, matrix_from_pose
+from gibson_sim.physics.attachments import Attachments
 from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
-from gibson_sim.physics.frames import FrameTable
+from gibson_sim.physics.engine_types import EngineContact
+from gibson_sim.physics.kinematics import ChainSolution
+from gibson_sim.physics.link_poses import LinkPoses, link_pose, link_twist
+from gibson_sim.physics.proximity import Neighbour, neighbours
 from gibson_sim.physics.robot import RobotInWorld
+from gibson_sim.physics.static_shapes import add_static_shapes
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.joint_commands import JointCommand
-from gibson_sim.robots.spec import RobotSpec, Shape
-from gibson_sim.scenes.mesh import MeshLoader, scene_roots
+from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import NS_PER_S, Contact, JointStates, Odometry, Pose, SceneState, Vec3, VelocityCommand
 
 logger = logging.getLogger(__name__)
-
-GROUND = "ground"
-"""What contacts call the endless plane."""
-_SMALLEST_AREA = 1e-12
-"""Square metres: smaller triangles are dropped; their normal is noise, and Bullet's contacts with them too."""
 
 
 class PhysicsWorld:
@@ -61,8 +60,6 @@ class PhysicsWorld:
         if len(set(names)) != len(names):
             raise PhysicsError(f"robots and bodies are named {', '.join(names)}; names must differ")
         self.step_hz = int(step_hz)
-        self.links: tuple[str, ...] = ()
-        """Names ``<body>/<link>`` of all links, in the order of ``names``, the roots first."""
         self.warnings: list[str] = []
         """What was left out or replaced, one line each."""
         self.scene = scene
@@ -70,24 +67,31 @@ class PhysicsWorld:
         self._timeout_ns = round(cmd_vel_timeout * NS_PER_S)
         self._seed = seed
         self._step_count = 0
-        self._state: SceneState | None = None
-        self._table: FrameTable | None = None
-        """Of all bodies together; None = they changed."""
         self._bullet = Bullet(self.step_hz, scene.gravity)
         try:
-            self._add_static_shapes()
+            self._poses = LinkPoses(self._bullet)
+            self.attachments = Attachments(self._bullet, self._one)
+            """What holds links together."""
+            self.warnings += add_static_shapes(self._bullet, scene)
             self._robots: dict[str, RobotInWorld] = {}
             self._bodies: dict[str, BodyInWorld] = {}
+            self._commanded: dict[str, BodyInWorld] = {}
+            """Bodies, not robots, whose joints were told something."""
             for robot in scene.robots:
                 self._load_robot(robot)
             for body in scene.bodies:
                 self._load_body(body)
-            self._name_links()
+            self._poses.change_bodies(self._all())
         except BaseException:
             self._bullet.close()
             raise
         for warning in self.warnings:
             logger.warning("%s", warning)
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Names ``<body>/<link>`` of all links, in the order of ``names``, the roots first."""
+        return self._poses.links
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -118,7 +122,10 @@ class PhysicsWorld:
 
     def remove(self, name: str) -> None:
         """Takes a robot or a body out of the world; PhysicsError where there is none of this name."""
-        self._bullet.remove(self._one(name).body)
+        one = self._one(name)
+        self.attachments.detach_all(name)
+        self._bullet.remove(one.body)
+        self._commanded.pop(name, None)
         self._robots.pop(name, None)
         self._bodies.pop(name, None)
         self._changed(
@@ -139,7 +146,8 @@ class PhysicsWorld:
             PhysicsError: there is none of this name.
         """
         self._one(name).set_state(self._bullet, pose, linear, angular)
-        self._state = None
+        self.attachments.wake_beside(name)
+        self._poses.forget()
 
     def body_pose(self, name: str) -> Pose:
         """Returns T_world_root of a robot or a body."""
@@ -163,16 +171,55 @@ class PhysicsWorld:
         """
         return self._one(name).bounds(self._bullet, np.eye(4) if T_frame_world is None else T_frame_world)
 
-    def contacts(self, name: str) -> tuple[Contact, ...]:
-        """Returns the points at which a robot or a body touched another one in the last step; it is always ``a``."""
+    def contacts(self, name: str | None = None) -> tuple[Contact, ...]:
+        """Returns the points at which things touched in the last step.
+
+        Args:
+            name: A robot or a body: it is always ``a``; None = all of them, each point once, static shapes always ``b``.
+        """
+        return tuple(self._contact(point) for point in self._bullet.contacts(None if name is None else self._one(name).body))
+
+    def _contact(self, point: EngineContact) -> Contact:
+        one, other = self._one(point.name), self._robots.get(point.other) or self._bodies.get(point.other)
+        link_a, link_b = one.link_of_row(point.link), "" if other is None else other.link_of_row(point.other_link)
+        return Contact(point.name, link_a, point.other, link_b, point.position, point.normal, point.force, point.distance)
+
+    def neighbours(self, name: str, link: str, radius: float) -> tuple[Neighbour, ...]:
+        """Returns the links of other robots and bodies within ``radius`` metres of a link's surface, the nearest first.
+
+        Raises:
+            PhysicsError: there is no such body or link.
+        """
+        return neighbours(self._bullet, self._one(name), link, self._all(), radius)
+
+    def solve_chain(
+        self,
+        name: str,
+        link: str,
+        target: Pose,
+        *,
+        joints: Sequence[str] | None = None,
+        rest: Mapping[str, float] | None = None,
+        orientation: bool = True,
+    ) -> ChainSolution:
+        """Returns the joints that bring a link to ``target`` (T_world_link), the root standing where it is; nothing moves.
+
+        Args:
+            name: A robot or a body.
+            link: At the end of the chain.
+            target: Where it shall be.
+            joints: Those that may move; None = all between the root and the link.
+            rest: Where joints shall be as far as the target leaves them free.
+            orientation: Whether that of the target counts.
+
+        Raises:
+            PhysicsError: there is no such body.
+            CommandError: there is no such link or joint, or nothing moves the link.
+        """
         one = self._one(name)
-        out = []
-        for point in self._bullet.contacts(one.body):
-            other = self._robots.get(point.other) or self._bodies.get(point.other)
-            link_b = "" if other is None else other.link_of_row(point.other_link)
-            link_a = one.link_of_row(point.link)
-            out.append(Contact(name, link_a, point.other, link_b, point.position, point.normal, point.force, point.distance))
-        return tuple(out)
+        T_root_target = invert(matrix_from_pose(self.body_pose(name))) @ matrix_from_pose(target)
+        start = one.joint_positions(self._bullet)
+        return one.chain(link, joints).solve(T_root_target, start, rest=rest, orientation=orientation)
 
     @property
     def step_count(self) -> int:
@@ -195,24 +242,29 @@ class PhysicsWorld:
             raise CommandError(f"robot {robot!r} has no drive and cannot obey a velocity; give it one in its robot.yaml")
         one.command = replace(command, stamp_ns=min(command.stamp_ns, self.stamp_ns))
 
-    def command_joints(self, robot: str, command: JointCommand) -> None:
-        """Moves joints other than those of the drive, from the next step on.
+    def command_joints(self, name: str, command: JointCommand) -> None:
+        """Moves joints of a robot (not those of its drive), or of a body, from the next step on.
 
         Raises:
-            CommandError: there is no such robot or joint, or it cannot move so.
+            CommandError: there is no such robot, body or joint, or it cannot move so.
         """
-        self._robot(robot).command_joints(self._bullet, command, self.stamp_ns)
+        one = self._jointed(name)
+        one.command_joints(self._bullet, command, self.stamp_ns)
+        if name in self._bodies:
+            self._commanded[name] = one
 
     def step(self, steps: int = 1) -> None:
         """Advances by ``steps``; limits and time-outs of the commands count in every one."""
         dt = 1.0 / self.step_hz
         bullet = self._bullet
-        robots = tuple(self._robots.values())
-        self._state = None
+        robots, commanded = tuple(self._robots.values()), tuple(self._commanded.values())
+        self._poses.forget()
         for _ in range(steps):
             now_ns = self.stamp_ns
             for robot in robots:
                 robot.actuate(bullet, now_ns, self._timeout_ns, dt)
+            for body in commanded:
+                body.actuate_joints(bullet, now_ns, dt)
             bullet.step()
             self._step_count += 1
             for robot in robots:
@@ -221,47 +273,25 @@ class PhysicsWorld:
     def state(self) -> SceneState:
         """Returns the poses of all links now; its arrays are read-only and stay as they are."""
         self._bullet.check_open()
-        if self._state is None:
-            if self._table is None:
-                self._table = FrameTable.joined([body.table for body in self._all()])
-            self._state = self._state_of(self._all(), self._table, self.links)
-        return self._state
+        return self._poses.state(self.stamp_ns, self._step_count, self.scene.revision)
 
     def state_of(self, name: str) -> SceneState:
         """Returns the poses of at least the links of one robot or body now: what a sensor needs between two states."""
-        if self._state is not None:
-            return self._state
-        one = self._one(name)
-        return self._state_of((one,), one.table, one.full_links)
-
-    def _state_of(self, bodies: Sequence[BodyInWorld], table: FrameTable, links: tuple[str, ...]) -> SceneState:
-        raw = [row for body in bodies for row in self._bullet.raw_states(body.body)]
-        positions, quats, twists = table.links(np.array(raw, dtype=np.float64).reshape(-1, 13))
-        for array in (positions, quats, twists):
-            array.setflags(write=False)
-        return SceneState(self.stamp_ns, self._step_count, self.scene.revision, links, positions, quats, twists)
+        return self._poses.state_of(self._one(name), self.stamp_ns, self._step_count, self.scene.revision)
 
     def base_pose(self, robot: str) -> Pose:
         """Returns T_world_base."""
-        state, row = self.state(), self._base_row(robot)
-        x, y, z = state.positions[row].tolist()
-        qx, qy, qz, qw = state.quats_xyzw[row].tolist()
-        return Pose((x, y, z), (qx, qy, qz, qw))
+        return link_pose(self.state(), self._base(robot))
 
     def base_twist(self, robot: str) -> tuple[Vec3, Vec3]:
         """Returns linear (m/s) and angular (rad/s) velocity of the base's origin against the world, in the BASE frame."""
-        state, row = self.state(), self._base_row(robot)
-        x, y, z, w = state.quats_xyzw[row].tolist()
-        *linear, p, q, r = state.twists[row].tolist()
-        inverse = (-x, -y, -z, w)
-        return turned(inverse, (linear[0], linear[1], linear[2])), turned(inverse, (p, q, r))
+        return link_twist(self.state(), self._base(robot))
 
-    def joint_states(self, robot: str) -> JointStates:
-        """Returns the moving joints in the order of ``RobotSpec.moving_joints``; continuous joints count their turns."""
-        one = self._robot(robot)
-        names = tuple(joint for joint, _, _ in one.spec.moving_joints)
-        reading = self._bullet.joint_reading(one.body, [one.body.joint_indices[joint] for joint in names])
-        return JointStates(names, reading.positions, reading.velocities, reading.efforts)
+    def joint_states(self, name: str) -> JointStates:
+        """Returns the moving joints of a robot or a body in the order of its URDF; continuous joints count their turns."""
+        one = self._jointed(name)
+        reading = self._bullet.joint_reading(one.body, [one.body.joint_indices[joint] for joint in one.moving_joints])
+        return JointStates(one.moving_joints, reading.positions, reading.velocities, reading.efforts)
 
     def odometry(self, robot: str) -> Odometry:
         """Returns what the wheels say; a robot without a drive stays at the origin of its odom frame."""
@@ -291,25 +321,28 @@ class PhysicsWorld:
             keep_time: Let simulation time run on (many ROS nodes cannot bear a jump back); False = it is 0 again.
         """
         # Loading anew, not moving: contacts and impulses that Bullet remembers would make the second run differ from the first.
+        self.attachments.detach_all()
+        self._commanded.clear()
         for one in self._all():
             self._bullet.remove(one.body)
         for one in self._all():
             one.load(self._bullet)
-        self._state = None
+        self._poses.forget()
         if not keep_time:
             self._step_count = 0
 
     def set_step_count(self, steps: int) -> None:
-        """Sets time to that of ``steps`` steps after load; nothing moves. Robots forget their commands, whose times are of the old one.
+        """Sets time to that of ``steps`` steps after load; nothing moves. Robots and bodies forget their commands, whose times are of the old one.
 
         Raises:
             PhysicsError: ``steps`` is negative.
         """
         if steps < 0:
             raise PhysicsError(f"step count is {steps}, must be 0 or more")
-        self._step_count, self._state = steps, None
-        for robot in self._robots.values():
-            robot.forget_commands(self._bullet, self.stamp_ns)
+        self._step_count = steps
+        self._poses.forget()
+        for one in (*self._robots.values(), *self._commanded.values()):
+            one.forget_commands(self._bullet, self.stamp_ns)
 
     def close(self) -> None:
         """Frees the engine; a second call does nothing, any other use afterwards raises PhysicsError."""
@@ -325,6 +358,11 @@ class PhysicsWorld:
         if name not in self._robots:
             raise CommandError(f"no robot {name!r} in this world; known: {', '.join(self._robots) or 'none'}")
         return self._robots[name]
+
+    def _jointed(self, name: str) -> BodyInWorld:
+        if name not in self.names:
+            raise CommandError(f"no robot or body {name!r} in this world; known: {', '.join(self.names) or 'none'}")
+        return self._one(name)
 
     def _one(self, name: str) -> BodyInWorld:
         one = self._robots.get(name) or self._bodies.get(name)
@@ -349,57 +387,12 @@ class PhysicsWorld:
         )
         self.warnings += body.warnings
 
-    def _name_links(self) -> None:
-        self.links = tuple(link for one in self._all() for link in one.full_links)
-
     def _changed(self, new_links: tuple[str, ...] = (), **changes: Any) -> None:
         """Takes up another scene; ``new_links`` are those of a body that came last, so that thousands come quickly."""
         self.scene = replace(self.scene, revision=self.scene.revision + 1, **changes)
-        if new_links:
-            self.links += new_links
-        else:
-            self._name_links()
-        self._state = self._table = None
+        self._poses.change_bodies(self._all(), new_links)
 
-    def _base_row(self, robot: str) -> int:
+    def _base(self, robot: str) -> str:
+        """Returns the whole name of the robot's base link."""
         spec = self._robot(robot).spec
-        return self.links.index(f"{spec.name}/{spec.base_link}")
-
-    def _add_static_shapes(self) -> None:
-        scene = self.scene
-        if scene.ground_z is not None:
-            self._bullet.add_static(self._bullet.plane_shape(), Pose((0.0, 0.0, scene.ground_z)), GROUND)
-        loader = MeshLoader(scene_roots(scene), textures=False)
-        known: dict[Shape, Sequence[int]] = {}
-        for collision in scene.collisions:
-            if collision.shape not in known:
-                known[collision.shape] = self._static_shape(loader, collision.shape, collision.name)
-            self._bullet.add_static(known[collision.shape], collision.pose, collision.name)
-
-    def _static_shape(self, loader: MeshLoader, shape: Shape, name: str) -> Sequence[int]:
-        """Returns the engine's numbers of a shape; none, with a warning, for a mesh that cannot be bumped into."""
-        if shape.kind == "box":
-            return self._bullet.box_shape(shape.size)
-        if shape.kind == "sphere":
-            return self._bullet.sphere_shape(shape.size[0])
-        if shape.kind == "cylinder":
-            return self._bullet.cylinder_shape(shape.size[0], shape.size[1])
-        try:
-            vertices, triangles = loader.shape(shape).merged()
-        except MeshError as error:
-            self.warnings.append(f"collision {name!r} is left out: {error}")
-            return []
-        sound = sound_triangles(vertices, triangles)
-        if not len(sound):
-            self.warnings.append(f"collision {name!r} is left out: {shape.mesh} has no triangle with an area")
-            return []
-        return self._bullet.mesh_shape(vertices, sound, shape.mesh)
-
-
-def sound_triangles(vertices: NDArray[np.float64], triangles: ArrayLike) -> NDArray[np.int64]:
-    """Returns those of ``triangles``, (T, 3), that have an area and finite corners."""
-    corners: NDArray[np.int64] = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
-    a, b, c = (vertices[corners[:, i]] for i in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-    sound: NDArray[np.int64] = corners[np.isfinite(area) & (area > _SMALLEST_AREA)]
-    return sound
+        return f"{spec.name}/{spec.base_link}"

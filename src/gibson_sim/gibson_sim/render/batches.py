@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError, GibsonSimError
+from gibson_sim.geometry.colours import linear16_from_srgb8, linear_from_srgb
 from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
 from gibson_sim.render.clusters import build_clusters, places, simplifier
 from gibson_sim.robots.spec import Look, Shape, VisualSpec
@@ -248,7 +249,7 @@ class _MaterialTable:
     def row(self, material: Material, look: Look | None) -> int:
         """Returns the row of a material under a look."""
         worn = material if look is None else apply_look(material, look)
-        linear = [linear_from_srgb(c) for c in worn.base_color[:3]]
+        linear = linear_from_srgb(worn.base_color[:3]).tolist()
         # A look that says how rough it is means the surface, not a factor on a map.
         from_map = [float(look is None or value is None) for value in (look and look.metallic, look and look.roughness)]
         values = (
@@ -266,7 +267,7 @@ class _MaterialTable:
         colors: tuple[tuple[float, ...], tuple[float, ...]] = ((0.0,) * 3, (1.0,) * 3)
         if look.pattern is not None:
             layer, size, colors = self._layers[look.pattern], look.pattern.size, pattern_colors(look.pattern)
-        first, second = ([linear_from_srgb(c) for c in color] for color in colors)
+        first, second = linear_from_srgb(colors).tolist()
         tint = np.hstack([tint_matrix(look), np.zeros((3, 1))])
         return (*tint.ravel().tolist(), *first, float(layer), *second, 1.0 / size)
 
@@ -297,23 +298,13 @@ def _packed_colors(colors: NDArray[np.uint8] | None) -> F32:
     """Returns (V, 2) float32 whose bytes are linear red, green, blue and 0 as 16-bit numbers, of sRGB colours (V, 3)."""
     assert colors is not None
     out = np.zeros((len(colors), 4), dtype="<u2")
-    out[:, :3] = _LINEAR16[colors]
+    out[:, :3] = linear16_from_srgb8(colors)
     return out.view("<f4")
 
 
 def _unpacked_colors(packed: F32) -> F32:
     """Returns linear colours (V, 3), 0 to 1."""
     return np.ascontiguousarray(packed).view("<u2").reshape(-1, 4)[:, :3].astype(np.float32) / np.float32(65535.0)
-
-
-def linear_from_srgb(value: float) -> float:
-    """Returns the linear value, 0 to 1, of an sRGB one."""
-    v = min(max(value, 0.0), 1.0)
-    return v / 12.92 if v <= 0.04045 else float(((v + 0.055) / 1.055) ** 2.4)
-
-
-_LINEAR16 = np.array([round(65535.0 * linear_from_srgb(k / 255.0)) for k in range(256)], dtype=np.uint16)
-"""Linear 16-bit value by sRGB 8-bit value."""
 
 
 class _Joiner:

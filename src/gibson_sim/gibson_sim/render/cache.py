@@ -21,6 +21,7 @@ from typing import Any
 from gibson_sim import __version__
 from gibson_sim.render.batches import Batches
 from gibson_sim.render.clusters import simplifier
+from gibson_sim.resources import cache_folder
 from gibson_sim.robots.spec import VisualSpec
 
 _log = logging.getLogger(__name__)
@@ -33,9 +34,8 @@ LIMIT_BYTES = 8 * 2**30
 
 
 def default_folder() -> Path:
-    """Returns ``$XDG_CACHE_HOME/gibson-sim/scenes``, or the same below ``~/.cache``."""
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(base) if base else Path.home() / ".cache") / "gibson-sim" / "scenes"
+    """Returns the folder of the user's own cache."""
+    return cache_folder("scenes")
 
 
 class SceneCache:
@@ -167,7 +167,8 @@ def _mark(file: Path) -> tuple[int, int] | None:
 def _code_digest() -> str:
     """Returns a digest of the code that reads meshes and cuts them: another version of it may make something else of them."""
     package = Path(__file__).parent.parent
-    files = [*sorted((package / "scenes").glob("*.py")), package / "render" / "batches.py", package / "render" / "clusters.py"]
+    files = [file for folder in ("geometry", "scenes") for file in sorted((package / folder).glob("*.py"))]
+    files += [package / "render" / "batches.py", package / "render" / "clusters.py"]
     digest = hashlib.sha256()
     for file in files:
         digest.update(file.read_bytes())

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
+from gibson_sim.geometry.colours import linear_from_srgb
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -51,15 +52,11 @@ def load_environment(path: Path) -> F32:
     if image.dtype == np.float32:
         linear = rgb.astype(np.float32)
     else:
-        linear = _linear(rgb.astype(np.float32) / np.float32(65535.0 if image.dtype == np.uint16 else 255.0))
+        linear = linear_from_srgb(rgb.astype(np.float32) / np.float32(65535.0 if image.dtype == np.uint16 else 255.0))
     linear = np.clip(np.nan_to_num(linear), 0.0, _BRIGHTEST)
     if width > _MAX_WIDTH:
         linear = np.asarray(cv2.resize(linear, (_MAX_WIDTH, _MAX_WIDTH // 2), interpolation=cv2.INTER_AREA))
     return np.ascontiguousarray(linear, dtype=np.float32)
-
-
-def _linear(srgb: F32) -> F32:
-    return np.asarray(np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4), dtype=np.float32)
 
 
 def directions(height: int) -> F64:

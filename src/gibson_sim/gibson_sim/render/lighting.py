@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.geometry.colours import linear_from_srgb
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.render import gl as GL
-from gibson_sim.render.batches import linear_from_srgb
 from gibson_sim.render.context import GlContext
 from gibson_sim.render.environment import irradiance, load_environment, reflectance, reflections
 from gibson_sim.render.screen_pass import shader_text
@@ -56,7 +56,7 @@ class Lighting:
             if on
         )  # fmt: skip
         """Of every program that lights something."""
-        self.background = np.array([*(linear_from_srgb(c) for c in light.background), 1.0], dtype=np.float32)
+        self.background = np.array([*linear_from_srgb(light.background), 1.0], dtype=np.float32)
         """Linear, and alpha."""
         try:
             image = _image(light)
@@ -67,7 +67,9 @@ class Lighting:
                 self._textures[_REFLECTIONS] = self._layers(reflections(image))
             if glossy:
                 self._textures[_REFLECTANCE] = self._table(reflectance())
-            if image is not None and light.environment_visible:
+            if light.backdrop:
+                self._sky = Sky(context, load_environment(Path(light.backdrop)))
+            elif image is not None and light.environment_visible:
                 self._sky = Sky(context, image)
         except BaseException:
             self.close()
@@ -188,7 +190,7 @@ def _numbers(light: LightSpec, points: tuple[PointLight, ...], image: F32 | None
     """Returns what stands in ``Light`` of the shaders."""
     rows = np.zeros((16 + 4 * len(points), 4), dtype=np.float32)
     rows[0, :3] = -_unit(light.sun_direction)
-    rows[1] = (*(linear_from_srgb(c) * light.sun for c in light.sun_color), light.ambient)
+    rows[1] = (*(linear_from_srgb(light.sun_color) * light.sun), light.ambient)
     if image is not None:
         rows[2:11, :3] = irradiance(image)
     for k, point in enumerate(points):
@@ -202,7 +204,7 @@ def _lamp(point: PointLight) -> list[tuple[float, ...]]:
         inner, outer = math.cos(min(point.inner_angle, point.outer_angle)), math.cos(point.outer_angle)
         scale = 1.0 / max(inner - outer, 1e-3)
         offset = -outer * scale
-    color = (linear_from_srgb(c) * point.strength for c in point.color)
+    color = linear_from_srgb(point.color) * point.strength
     return [
         (*point.position, point.range**-4.0 if point.range > 0.0 else 0.0),
         (*color, scale),

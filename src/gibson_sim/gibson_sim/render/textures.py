@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.geometry.colours import linear_from_srgb, srgb8_from_linear
 from gibson_sim.render import gl as GL
 
 Pixels = NDArray[np.uint8]
@@ -74,10 +75,10 @@ def _halved(pixels: Pixels) -> Pixels:
     height, width = pixels.shape[:2]
     linear = cv2.LUT(pixels, np.stack([_LINEAR] * 3 + [_ALPHA], axis=-1)[None, :, : pixels.shape[2]])
     smaller = cv2.resize(linear, (max(width // 2, 1), max(height // 2, 1)), interpolation=cv2.INTER_AREA)
-    colors = np.where(smaller <= 0.0031308, 12.92 * smaller, 1.055 * np.maximum(smaller, 0.0031308) ** (1 / 2.4) - 0.055)
-    colors[..., 3:] = smaller[..., 3:]
-    return np.rint(np.clip(colors, 0.0, 1.0) * 255.0).astype(np.uint8)
+    half = srgb8_from_linear(smaller)
+    half[..., 3:] = np.rint(smaller[..., 3:] * 255.0)
+    return half
 
 
 _ALPHA = (np.arange(256) / 255.0).astype(np.float32)
-_LINEAR = np.where(_ALPHA <= 0.04045, _ALPHA / 12.92, ((_ALPHA + 0.055) / 1.055) ** 2.4).astype(np.float32)
+_LINEAR = linear_from_srgb(_ALPHA)

@@ -38,6 +38,19 @@ class JointVelocities:
 
 
 @dataclass(frozen=True, slots=True)
+class JointEfforts:
+    """Motors shall push so until they are told otherwise, up to the limits of velocity and position; 0 = let the joint go."""
+
+    efforts: Numbers
+    """N m or N."""
+    names: tuple[str, ...] = ()
+    """One for each number; empty = all joints that obey commands, in the order of the URDF."""
+
+    def __post_init__(self) -> None:
+        _check_row("joint efforts", self.names, self.efforts)
+
+
+@dataclass(frozen=True, slots=True)
 class TrajectoryPoint:
     """Where the joints of a trajectory shall be at one time; numbers are in the order of its names."""
 
@@ -84,7 +97,7 @@ class JointTrajectory:
             last = point.time_ns
 
 
-JointCommand = JointPositions | JointVelocities | JointTrajectory
+JointCommand = JointPositions | JointVelocities | JointEfforts | JointTrajectory
 
 
 def _check_row(what: str, names: tuple[str, ...], row: Numbers) -> None:

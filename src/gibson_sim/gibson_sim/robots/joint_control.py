@@ -11,7 +11,7 @@ from itertools import pairwise
 from typing import NamedTuple, Protocol
 
 from gibson_sim.errors import CommandError
-from gibson_sim.robots.joint_commands import JointCommand, JointPositions, JointTrajectory, TrajectoryPoint
+from gibson_sim.robots.joint_commands import JointCommand, JointEfforts, JointPositions, JointTrajectory, TrajectoryPoint
 from gibson_sim.robots.urdf import UrdfJoint
 from gibson_sim.types import NS_PER_S
 
@@ -21,6 +21,8 @@ _GAIN_PER_S = 50.0
 """Speed for each radian (metre) behind the setpoint, 1/s: a lag dies out within 0.1 s."""
 _LEAD_S = 0.1
 """A setpoint is at most so far ahead of a joint that something holds back."""
+_UNLIMITED_SPEED = 100.0
+"""rad/s or m/s that a motor that pushes reaches in a joint without a limit of velocity."""
 ARRIVED = 1e-3
 """Radians or metres from the end at which a motion is over."""
 _ROUNDING = 1e-6
@@ -36,10 +38,15 @@ class JointTargets(NamedTuple):
     """rad/s or m/s."""
     held: dict[str, float]
     """Radians or metres."""
+    efforts: dict[str, float]
+    """N m or N: the most that motors in ``speeds`` use; those that are not in it use what their joint allows."""
 
 
 class _Motion(Protocol):
     """What one joint is doing."""
+
+    effort: float | None
+    """The most that its motor uses; None = what the joint allows."""
 
     def speed(self, position: float, now_ns: int, step_ns: int) -> float:
         """Returns the speed for the step that begins at ``now_ns``, the joint being at ``position``."""
@@ -93,6 +100,11 @@ class JointControl:
             for joint, goal in self._rows(command.names, command.positions, "positions"):
                 _check_position(joint, goal, "")
                 new[joint.name] = _Goal(joint, goal, positions[joint.name])
+        elif isinstance(command, JointEfforts):
+            new = {}
+            for joint, effort in self._rows(command.names, command.efforts, "efforts"):
+                _check_effort(joint, effort)
+                new[joint.name] = _Pushing(joint, effort)
         else:
             new = {}
             for joint, speed in self._rows(command.names, command.velocities, "velocities"):
@@ -102,15 +114,19 @@ class JointControl:
 
     def step(self, now_ns: int, step_ns: int, positions: Mapping[str, float]) -> JointTargets:
         """Returns what changes for the step that begins at ``now_ns`` and lasts ``step_ns``; ``positions``: of all ``active``."""
-        speeds, held = {}, {}
+        speeds, held, efforts = {}, {}, {}
         for name, motion in list(self._motions.items()):
             end = motion.end(positions[name], now_ns)
-            if end is None:
-                speeds[name] = motion.speed(positions[name], now_ns, step_ns)
-            else:
+            if end is not None:
                 held[name] = end
                 del self._motions[name]
-        return JointTargets(speeds, held)
+                continue
+            speeds[name] = motion.speed(positions[name], now_ns, step_ns)
+            if motion.effort is not None:
+                efforts[name] = motion.effort
+            if motion.effort == 0.0:  # let go once, it needs nobody
+                del self._motions[name]
+        return JointTargets(speeds, held, efforts)
 
     def _rows(self, names: tuple[str, ...], row: tuple[float, ...], what: str) -> list[tuple[UrdfJoint, float]]:
         names = names or self.names
@@ -154,6 +170,8 @@ class JointControl:
 class _Rest:
     """Stays where it is."""
 
+    effort: float | None = None
+
     def __init__(self, position: float) -> None:
         self._position = position
 
@@ -166,6 +184,8 @@ class _Rest:
 
 class _Turning:
     """Goes on until a limit of position, and stays there."""
+
+    effort: float | None = None
 
     def __init__(self, joint: UrdfJoint, speed: float) -> None:
         self._joint, self._speed = joint, speed
@@ -180,8 +200,18 @@ class _Turning:
         return None
 
 
+class _Pushing(_Turning):
+    """A motor that would go faster and has only so much effort pushes with just that, and no faster than the joint may go."""
+
+    def __init__(self, joint: UrdfJoint, effort: float) -> None:
+        super().__init__(joint, math.copysign(joint.velocity or _UNLIMITED_SPEED, effort))
+        self.effort = abs(effort)
+
+
 class _Goal:
     """Goes to a position at the greatest speed."""
+
+    effort: float | None = None
 
     def __init__(self, joint: UrdfJoint, goal: float, position: float) -> None:
         self._fastest, self._goal, self._setpoint = joint.velocity or DEFAULT_SPEED, goal, position
@@ -208,6 +238,8 @@ class _Knot(NamedTuple):
 
 class _Path:
     """Passes through knots."""
+
+    effort: float | None = None
 
     def __init__(self, joint: UrdfJoint, knots: Sequence[_Knot]) -> None:
         self._fastest = joint.velocity or math.inf
@@ -315,3 +347,8 @@ def _check_velocity(joint: UrdfJoint, value: float, where: str) -> None:
         raise CommandError(
             f"joint {joint.name!r}: velocity{where} is {value:g}, must be {-joint.velocity:g} to {joint.velocity:g}"
         )
+
+
+def _check_effort(joint: UrdfJoint, value: float) -> None:
+    if joint.effort and abs(value) > joint.effort + _ROUNDING:
+        raise CommandError(f"joint {joint.name!r}: effort is {value:g}, must be {-joint.effort:g} to {joint.effort:g}")

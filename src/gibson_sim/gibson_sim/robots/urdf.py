@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -25,6 +26,8 @@ FindMesh = Callable[[str, Path], Path | None]
 _PACKAGE = "package://"
 _FILE = "file://"
 _LEVELS_UP = 3
+_XACRO = b"<xacro:"
+_NO_ELEMENTS = re.compile(rb"<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,14 +154,12 @@ def read_urdf(path: Path | str, find: FindMesh | None = None) -> UrdfModel:
     """
     path = Path(path)
     try:
-        top = ET.parse(path).getroot()
+        text = path.read_bytes()
     except FileNotFoundError as error:
         raise RobotError(f"no URDF at {path}") from error
     except OSError as error:
         raise RobotError(f"{path}: cannot be read: {error.strerror}") from error
-    except ET.ParseError as error:
-        raise RobotError(f"{path}: is not XML: {error}") from error
-    return _Reader(path, find or resolve_mesh).model(top)
+    return parse_urdf(text, path, find)
 
 
 def parse_urdf(text: str | bytes, source: Path, find: FindMesh | None = None) -> UrdfModel:
@@ -172,12 +173,30 @@ def parse_urdf(text: str | bytes, source: Path, find: FindMesh | None = None) ->
     Raises:
         RobotError: it is no URDF, or its tree is broken; one line.
     """
+    xacro = f"{source.absolute()}: is a xacro, not a URDF; expand it first: xacro {source.name} > robot.urdf"
     try:
         top = ET.fromstring(text)
     # A text that says it is UTF-16 is no such thing.
     except (ET.ParseError, ValueError, LookupError) as error:
-        raise RobotError(f"{source}: is not XML: {error}") from error
+        raise RobotError(xacro if is_xacro(text) else f"{source}: is not XML: {error}") from error
+    if is_xacro(text, top):
+        raise RobotError(xacro)
     return _Reader(source, find or resolve_mesh).model(top)
+
+
+def is_xacro(text: str | bytes, top: ET.Element | None = None) -> bool:
+    """Returns whether a description has elements that only xacro understands: includes, properties, calls of macros.
+
+    Their prefix tells: the namespace that it stands for is not the same everywhere, and a part of a file often names none.
+
+    Args:
+        text: the XML.
+        top: of it; None = it is not well-formed.
+    """
+    data = text.encode("utf-8", errors="replace") if isinstance(text, str) else text
+    if top is None or _XACRO not in data:
+        return _XACRO in data
+    return _XACRO in _NO_ELEMENTS.sub(b"", data)
 
 
 class _Reader:
@@ -192,8 +211,6 @@ class _Reader:
     def model(self, top: ET.Element) -> UrdfModel:
         if top.tag != "robot":
             raise RobotError(f"{self.path}: the outermost element is <{top.tag}>, a URDF has <robot>")
-        if any("xacro" in element.tag for element in top.iter() if isinstance(element.tag, str)):
-            raise RobotError(f"{self.path}: is a xacro, not a URDF; expand it first: xacro {self.path.name} > robot.urdf")
         for material in top.iter("material"):
             color = material.find("color")
             if color is not None:

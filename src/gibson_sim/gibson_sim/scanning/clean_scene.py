@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.geometry.transforms import matrices_from_poses, matrix_from_pose, pose_from_matrix, transform_points
-from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.spec import VisualSpec
+from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
+from gibson_sim.geometry.triangles import spread_over, unit_normals
 from gibson_sim.scanning.posed_rgbd import ScanError
+from gibson_sim.scenes.maps.bodies import still_visuals
 from gibson_sim.scenes.mesh import MeshLoader, scene_roots
 from gibson_sim.scenes.mesh_types import merge
 from gibson_sim.scenes.spec import DrawnScene, SceneSpec, drawn_scene
@@ -33,20 +33,6 @@ class Surface:
 
     def __len__(self) -> int:
         return len(self.points)
-
-
-def still_visuals(scene: SceneSpec) -> tuple[VisualSpec, ...]:
-    """Returns everything that is drawn, bodies at their start poses, as if all were part of the building."""
-    if not scene.bodies:
-        return scene.visuals
-    with PhysicsWorld(replace(scene, robots=())) as world:
-        state = world.state()
-    T_world_links = dict(zip(state.links, matrices_from_poses(state.positions, state.quats_xyzw), strict=True))
-    moving = (v for body in scene.bodies for v in body.visuals)
-    return (
-        *scene.visuals,
-        *(replace(v, link="", pose=pose_from_matrix(T_world_links[v.link] @ matrix_from_pose(v.pose))) for v in moving),
-    )
 
 
 def still_scene(scene: SceneSpec, links: tuple[str, ...] = ()) -> DrawnScene:
@@ -86,14 +72,10 @@ def sample_surface(vertices: F64, triangles: NDArray[np.int32], count: int, rng:
         rng: decides where.
     """
     corners = vertices[triangles]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(cross, axis=1)
-    if not area.sum() > 0.0:
+    points, which = spread_over(corners, count, rng)
+    if not len(points):
         raise ScanError("the mesh has no surface: all its triangles are without area")
-    which = rng.choice(len(area), count, p=area / area.sum())
-    a, b = np.sqrt(rng.random(count)), rng.random(count)
-    weights = np.stack([1.0 - a, a * (1.0 - b), a * b], axis=1)
-    return Surface(np.einsum("nk,nkd->nd", weights, corners[which]), cross[which] / area[which, None])
+    return Surface(points, unit_normals(corners[which]))
 
 
 def seen_points(surface: Surface, depth: F32, K: F64, T_world_camera: F64, tolerance: float) -> NDArray[np.bool_]:

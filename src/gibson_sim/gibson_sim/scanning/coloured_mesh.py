@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from gibson_sim.geometry.transforms import Mat4, transform_points
 from gibson_sim.scanning.posed_rgbd import ScanError
+from gibson_sim.scenes.collision.triangles import components, simplified_triangles
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -65,19 +65,24 @@ def welded(mesh: ColouredMesh, size: float) -> ColouredMesh:
 
 def without_small_parts(mesh: ColouredMesh, least_area: float) -> ColouredMesh:
     """Returns the mesh without connected parts whose area is below ``least_area``, square metres."""
-    count = len(mesh.vertices)
-    a, b, c = mesh.triangles.T
-    links = sparse.coo_matrix(
-        (np.ones(2 * len(a), dtype=np.int8), (np.concatenate([a, a]), np.concatenate([b, c]))), shape=(count, count)
-    )
-    _, part = csgraph.connected_components(links, directed=False)
-    areas = np.bincount(part[a], weights=np.linalg.norm(mesh.crosses(), axis=1) / 2.0, minlength=int(part.max(initial=-1)) + 1)
-    return _subset(mesh, areas[part[a]] >= least_area)
+    part = components(mesh.triangles, len(mesh.vertices))
+    areas = np.bincount(part, weights=np.linalg.norm(mesh.crosses(), axis=1) / 2.0)
+    return _subset(mesh, mesh.triangles[areas[part] >= least_area])
 
 
-def _subset(mesh: ColouredMesh, keep: NDArray[np.bool_]) -> ColouredMesh:
-    """Returns some of the triangles, and the vertices that they use."""
-    triangles = mesh.triangles[keep]
+def thinned(mesh: ColouredMesh, triangles: int) -> ColouredMesh:
+    """Returns the mesh with about so many triangles, or more where that would tear it; its vertices are some of the given ones.
+
+    Fast, and farther from the mesh than a method that moves vertices to where they fit best.
+
+    Raises:
+        MeshError: meshoptimizer is not installed.
+    """
+    return _subset(mesh, simplified_triangles(mesh.vertices, mesh.triangles, least=triangles))
+
+
+def _subset(mesh: ColouredMesh, triangles: NDArray[Any]) -> ColouredMesh:
+    """Returns some triangles (F, 3) between the vertices of a mesh, with those vertices alone."""
     used = np.zeros(len(mesh.vertices), dtype=bool)
     used[triangles] = True
     number = np.cumsum(used) - 1

@@ -37,10 +37,10 @@ def with_local_files(scene: DrawnScene, folders: Sequence[tuple[str, str]] = ())
         return found[path] if path else path
 
     visuals = tuple(_visual(visual, local(visual.shape.mesh), local(_picture(visual))) for visual in scene.visuals)
-    environment = local(scene.light.environment)
+    light = replace(scene.light, environment=local(scene.light.environment), backdrop=local(scene.light.backdrop))
     if all(there == here for there, here in found.items()):
         return scene, ()
-    moved = replace(scene, visuals=visuals, light=replace(scene.light, environment=environment))
+    moved = replace(scene, visuals=visuals, light=light)
     return moved, _difference(scene, found)
 
 

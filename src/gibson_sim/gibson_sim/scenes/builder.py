@@ -19,6 +19,7 @@ from gibson_sim.robots.spec import Look, Shape, VisualSpec
 from gibson_sim.scenes.collision.parts import scan_shapes
 from gibson_sim.scenes.mesh import MeshLoader, shape_triangles
 from gibson_sim.scenes.mesh_types import TO_Z_UP, UpAxis, merge
+from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.scenes.spec import CollisionSpec, LightSpec, SceneSpec, StartPose
 from gibson_sim.scenes.textures import is_inside
 from gibson_sim.types import Rgba, Vec3
@@ -58,6 +59,7 @@ class SceneBuilder:
         self.visuals: list[VisualSpec] = []
         self.collisions: list[CollisionSpec] = []
         self.bodies: list[BodySpec] = []
+        self.rooms: list[RoomSpec] = []
         self._visual_names: dict[str, int] = {}
         self._collision_names: dict[str, int] = {}
         self.warnings: list[Omission] = []
@@ -192,7 +194,7 @@ class SceneBuilder:
         return SceneSpec(
             self.name, self.root, self.digest(), tuple(self.visuals), tuple(self.collisions), self.ground_z, floor_z,
             self.gravity, tuple(self.starts), self.light, (), tuple(self.warnings), bodies=tuple(self.bodies),
-            other_floors=self.floors,
+            other_floors=self.floors, rooms=tuple(self.rooms),
         )  # fmt: skip
 
     def digest(self) -> str:

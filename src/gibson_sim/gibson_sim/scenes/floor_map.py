@@ -14,8 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from gibson_sim.errors import SceneError
+from gibson_sim.geometry.triangles import unit_normals
 from gibson_sim.scenes.mesh import collision_triangles
-from gibson_sim.scenes.rasterise import ROUNDING, Grid, clip_to_slab, unit_normals
+from gibson_sim.scenes.rasterise import ROUNDING, Grid, clip_to_slab
+from gibson_sim.scenes.solids import inside_solids
 from gibson_sim.scenes.spec import SceneSpec
 
 logger = logging.getLogger(__name__)
@@ -165,7 +167,8 @@ def make_floor_map(
 ) -> FloorMap:
     """Returns the occupancy grid of a triangle mesh, world frame, z up.
 
-    A cell is occupied where any part of a triangle between ``floor_z + FLOOR_CLEARANCE`` and ``floor_z + robot_height`` touches it.
+    A cell is occupied where any part of a triangle between ``floor_z + FLOOR_CLEARANCE`` and ``floor_z + robot_height`` touches it, and
+    inside of what stands on the floor.
 
     Args:
         vertices: (V, 3), metres.
@@ -195,7 +198,8 @@ def make_floor_map(
     if ground_plane and floor.mean() < 0.2:
         floor = np.ones(grid.shape, dtype=bool)
     covered = under_ceiling(corners, floor_z, grid)
-    return FloorMap(grid.resolution, grid.origin, grid.cover(obstacles), floor, covered, floor_z)
+    occupied = grid.cover(obstacles) | inside_solids(corners, grid, floor_z, floor_z - FLOOR_TOLERANCE, low, ground_plane=ground_plane)
+    return FloorMap(grid.resolution, grid.origin, occupied, floor, covered, floor_z)
 
 
 def grid_about(floors: F64, obstacles: F64, resolution: float, floor_z: float, ground_plane: bool) -> Grid:

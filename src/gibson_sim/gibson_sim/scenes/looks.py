@@ -10,15 +10,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.geometry.colours import LUMINANCE, linear_from_srgb, srgb8_from_linear, srgb_from_linear
 from gibson_sim.robots.spec import Look, Pattern
-from gibson_sim.scenes.mesh_types import F64, Material, srgb_from_linear
+from gibson_sim.scenes.mesh_types import F64, Material
 from gibson_sim.scenes.textures import Warn, decode_image
 
 PATTERN_PX = 256
 """Side of the picture of a pattern, pixels."""
 _CELLS = 8
 """Cells of a checker, and stripes, along one side: even, so that it repeats without a seam."""
-_LUMA = np.array([0.2126, 0.7152, 0.0722])
 
 
 def apply_look(material: Material, look: Look) -> Material:
@@ -46,15 +46,13 @@ def tint_matrix(look: Look) -> F64:
     c, s = np.cos(angle), np.sin(angle) / np.sqrt(3.0)
     third = (1.0 - c) / 3.0
     turn = np.array([[c + third, third - s, third + s], [third + s, c + third, third - s], [third - s, third + s, c + third]])
-    grey = np.tile(_LUMA, (3, 1))
+    grey = np.tile(LUMINANCE, (3, 1))
     matrix: F64 = look.value * (grey + look.saturation * (np.eye(3) - grey)) @ turn
     return matrix
 
 
 def _tinted(srgb: tuple[float, ...], look: Look) -> tuple[float, ...]:
-    values = np.clip(np.array(srgb), 0.0, 1.0)
-    linear = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-    return tuple(srgb_from_linear(float(c)) for c in tint_matrix(look) @ linear)
+    return tuple(srgb_from_linear(tint_matrix(look) @ linear_from_srgb(srgb)).tolist())
 
 
 def pattern_pictures(patterns: Sequence[Pattern], warn: Warn) -> tuple[dict[Pattern, int], NDArray[np.uint8]]:
@@ -101,8 +99,7 @@ def _picture(pattern: Pattern, warn: Warn) -> NDArray[np.uint8] | None:
         share = ((cell[:, None] + cell[None, :]) % 2).astype(np.float64)
     else:
         share = _noise(np.random.Generator(np.random.PCG64(pattern.seed)))
-    encoded = np.where(share <= 0.0031308, 12.92 * share, 1.055 * np.maximum(share, 1e-9) ** (1.0 / 2.4) - 0.055)
-    return np.repeat(np.rint(encoded * 255.0).astype(np.uint8)[:, :, None], 3, axis=2)
+    return np.repeat(srgb8_from_linear(share)[:, :, None], 3, axis=2)
 
 
 def _noise(rng: np.random.Generator) -> F64:

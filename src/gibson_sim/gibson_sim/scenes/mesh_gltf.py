@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import MeshError
+from gibson_sim.geometry.colours import srgb8_from_linear, srgb_from_linear
 from gibson_sim.geometry.transforms import matrix_from_quat
 from gibson_sim.robots.omissions import Omission, OmissionKind
 from gibson_sim.scenes.mesh_types import (
@@ -32,8 +33,6 @@ from gibson_sim.scenes.mesh_types import (
     Material,
     MeshPart,
     build_part,
-    srgb8_from_linear,
-    srgb_from_linear,
 )
 from gibson_sim.scenes.textures import TextureStore, Warn, is_inside, local_path
 
@@ -196,7 +195,7 @@ class _Reader:
         linear = self._accessor(index)
         if linear.shape[0] != count or linear.shape[1] not in (3, 4):
             raise MeshError(f"{self.path}: COLOR_0 has shape {linear.shape}, must be ({count}, 3 or 4); the file is broken")
-        return srgb8_from_linear(linear[:, :3])
+        return srgb8_from_linear(linear[:, :3].astype(np.float64))
 
     def _accessor(self, index: int) -> NDArray[Any]:
         """Returns (count, width); normalised integers as float in [-1, 1] or [0, 1]."""
@@ -274,8 +273,9 @@ class _Reader:
             texture = None if info is None else self._texture(info["index"])
             color = (1.0, 1.0, 1.0, 1.0) if texture or not self.textures.decode else LIGHT_GREY
             if factor is not None:
-                r, g, b, alpha = (float(c) for c in factor)
-                color = (srgb_from_linear(r), srgb_from_linear(g), srgb_from_linear(b), min(max(alpha, 0.0), 1.0))
+                *rgb, alpha = (float(c) for c in factor)
+                r, g, b = srgb_from_linear(rgb).tolist()
+                color = (r, g, b, min(max(alpha, 0.0), 1.0))
             material = Material(
                 str(source.get("name", "")),
                 color,

@@ -292,16 +292,3 @@ def fan(counts: I64) -> I64:
     first = np.repeat(starts, per_polygon)
     within = np.arange(int(per_polygon.sum())) - np.repeat(np.cumsum(per_polygon) - per_polygon, per_polygon)
     return np.stack([first, first + within + 1, first + within + 2], axis=1)
-
-
-def srgb8_from_linear(values: ArrayLike) -> NDArray[np.uint8]:
-    """Returns sRGB values, 0 to 255, of linear ones, 0 to 1; NaN becomes 0."""
-    v = np.clip(np.nan_to_num(np.asarray(values, dtype=np.float64)), 0.0, 1.0)
-    srgb = np.where(v <= 0.0031308, 12.92 * v, 1.055 * v ** (1 / 2.4) - 0.055)
-    return np.asarray(np.rint(srgb * 255.0), dtype=np.uint8)
-
-
-def srgb_from_linear(value: float) -> float:
-    """Returns the sRGB value, 0 to 1, of a linear one."""
-    v = min(max(value, 0.0), 1.0)
-    return 12.92 * v if v <= 0.0031308 else float(1.055 * v ** (1 / 2.4) - 0.055)

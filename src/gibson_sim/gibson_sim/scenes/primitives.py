@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from gibson_sim.errors import MeshError
+from gibson_sim.geometry.triangles import areas_of
 from gibson_sim.robots.spec import Shape
 from gibson_sim.scenes.mesh_types import F64, I64, Material, Mesh, MeshPart
 
@@ -62,10 +63,9 @@ def _sphere(radius: float, _y: float, _z: float) -> tuple[F64, F64, F64, I64]:
     around, down = 2 * math.pi * u.ravel(), math.pi * v.ravel()
     normals = np.stack([np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), np.cos(down)], 1)
     triangles = _grid(rings + 1, SEGMENTS + 1)
-    corners = (radius * normals)[triangles]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area = areas_of((radius * normals)[triangles])
     # At the poles half of the triangles collapse to a line.
-    return radius * normals, normals, np.stack([u.ravel(), v.ravel()], 1), triangles[area > 1e-9 * radius * radius]
+    return radius * normals, normals, np.stack([u.ravel(), v.ravel()], 1), triangles[area > 5e-10 * radius * radius]
 
 
 def _cylinder(radius: float, length: float, _z: float) -> tuple[F64, F64, F64, I64]:

@@ -14,8 +14,8 @@ from typing import Literal
 
 import numpy as np
 
+from gibson_sim.geometry.colours import srgb_from_linear
 from gibson_sim.robots.spec import Look, Pattern, PatternKind, VisualSpec
-from gibson_sim.scenes.mesh_types import srgb_from_linear
 from gibson_sim.scenes.spec import UNLABELLED, DrawnScene, LightSpec
 from gibson_sim.types import Vec3
 
@@ -209,5 +209,5 @@ def color_of_temperature(kelvin: float) -> Vec3:
     xyz = np.array([x / y, 1.0, (1.0 - x - y) / y])
     # IEC 61966-2-1.
     linear = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]]) @ xyz
-    r, g, b = (min(srgb_from_linear(float(c)), 1.0) for c in np.clip(linear, 0.0, None) / linear.max())
+    r, g, b = srgb_from_linear(linear / linear.max()).tolist()
     return (r, g, b)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,11 +42,30 @@ class Grid:
         """Returns (H, W): every cell that a convex polygon (P, K, 2), world metres, shares more than its rim with."""
         return rasterise((polygons - np.asarray(self.origin)) / self.resolution, self.shape)
 
+    def heights(self, corners: F64, chosen: np.ufunc) -> F64:
+        """Returns (H, W): the highest or lowest point of triangles over the centre of each cell; -inf or +inf where there are none.
 
-def unit_normals(corners: F64) -> F64:
-    """Returns the normals, (F, 3), of triangles (F, 3, 3); 0 of those without an area."""
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), math.ulp(1e-30)))
+        Args:
+            corners: (F, 3, 3), world metres; none of them upright.
+            chosen: ``np.maximum`` or ``np.minimum``.
+        """
+        rows, columns = self.shape
+        out = np.full(rows * columns, -np.inf if chosen is np.maximum else np.inf)
+        # In cells, centres at whole numbers.
+        flat = (corners[:, :, :2] - np.asarray(self.origin)) / self.resolution - 0.5
+        first = np.maximum(np.ceil(flat.min(axis=1) - ROUNDING), 0).astype(np.int64)
+        last = np.minimum(np.floor(flat.max(axis=1) + ROUNDING), [columns - 1, rows - 1]).astype(np.int64)
+        sizes = np.maximum(last - first + 1, 0)
+        counts = sizes.prod(axis=1)
+        ends = np.cumsum(counts)
+        for start in range(0, int(ends[-1]) if len(ends) else 0, _PAIRS_AT_ONCE):
+            pairs = np.arange(start, min(start + _PAIRS_AT_ONCE, int(ends[-1])))
+            which = np.searchsorted(ends, pairs, side="right")
+            number = pairs - (ends[which] - counts[which])
+            cells = first[which] + np.stack([number % sizes[which, 0], number // sizes[which, 0]], axis=1)
+            z, inside = _over(corners[which, :, 2], flat[which], cells)
+            chosen.at(out, (cells[:, 1] * columns + cells[:, 0])[inside], z[inside])
+        return out.reshape(self.shape)
 
 
 def clip_to_slab(corners: F64, low: float, high: float) -> F64:
@@ -119,3 +137,15 @@ def _extent_in_band(polygons: F64, rows: F64) -> tuple[F64, F64]:
         left = np.minimum(left, np.where(crosses, at, np.inf).min(axis=1))
         right = np.maximum(right, np.where(crosses, at, -np.inf).max(axis=1))
     return left, right
+
+
+def _over(z: F64, triangles: F64, points: I64) -> tuple[F64, Bools]:
+    """Returns the heights (N,) of triangles (N, 3, 2) with corners at z (N, 3) over points (N, 2), and which of these lie in them."""
+    a, b, c = (triangles[:, k] for k in range(3))
+    ab, ac, to = b - a, c - a, points - a
+    whole = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        v = (to[:, 0] * ac[:, 1] - to[:, 1] * ac[:, 0]) / whole
+        w = (ab[:, 0] * to[:, 1] - ab[:, 1] * to[:, 0]) / whole
+        inside = (v >= -ROUNDING) & (w >= -ROUNDING) & (v + w <= 1 + ROUNDING)
+        return (1 - v - w) * z[:, 0] + v * z[:, 1] + w * z[:, 2], np.asarray(inside)

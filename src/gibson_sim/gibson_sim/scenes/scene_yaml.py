@@ -15,15 +15,16 @@ from gibson_sim.robots.spec import Look, Shape
 from gibson_sim.scenes.builder import FAR_AWAY, SceneBuilder
 from gibson_sim.scenes.mesh_types import UpAxis
 from gibson_sim.scenes.scene_bodies import read_bodies, read_pose
+from gibson_sim.scenes.scene_rooms import read_rooms
 from gibson_sim.scenes.spec import LightSpec, PointLight, StartPose
 from gibson_sim.scenes.yaml_map import YamlMap
 from gibson_sim.types import Rgba, Vec3
 
 F64 = NDArray[np.float64]
-_SCENE_KEYS = ("name", "description", "gravity", "ground_z", "floor_z", "floors", "light", "starts", "objects", "bodies")
+_SCENE_KEYS = ("name", "description", "gravity", "ground_z", "floor_z", "floors", "rooms", "light", "starts", "objects", "bodies")
 _LIGHT_KEYS = (
     "sun_direction", "sun", "sun_color", "shadows", "ambient", "background", "points",
-    "environment", "environment_strength", "environment_yaw_deg", "environment_visible",
+    "environment", "environment_strength", "environment_yaw_deg", "environment_visible", "backdrop",
 )  # fmt: skip
 _POINT_KEYS = ("position", "color", "strength", "range", "attenuation", "direction", "inner_deg", "outer_deg")
 _START_KEYS = ("name", "xy", "xyz", "yaw_deg")
@@ -56,6 +57,7 @@ def read_scene_yaml(builder: SceneBuilder, path: Path) -> None:
     builder.floors = top.floats("floors", len(top.items("floors"))) if top.has("floors") else ()
     if builder.floors and builder.floor_z is None:
         builder.floor_z = min(builder.floors)
+    read_rooms(builder, path, top.items("rooms"))
     builder.light = _light(builder, path, YamlMap(top.value("light", {}) or {}, f"{path}: light", _LIGHT_KEYS))
     for index, item in enumerate(top.items("objects")):
         _object(builder, path, YamlMap(item, f"{path}: objects[{index}]", _OBJECT_KEYS))
@@ -72,7 +74,10 @@ def read_scene_yaml(builder: SceneBuilder, path: Path) -> None:
 
 def _light(builder: SceneBuilder, path: Path, light: YamlMap) -> LightSpec:
     default = LightSpec()
-    environment = light.text("environment", "")
+    environment, backdrop = (
+        builder.environment_file(path.parent / image, light.where) if image else ""
+        for image in (light.text("environment", ""), light.text("backdrop", ""))
+    )
     return LightSpec(
         sun_direction=light.direction("sun_direction", default.sun_direction),
         sun=light.number("sun", default.sun, low=0.0),
@@ -83,10 +88,11 @@ def _light(builder: SceneBuilder, path: Path, light: YamlMap) -> LightSpec:
         points=tuple(
             _point(YamlMap(item, f"{light.where}: points[{k}]", _POINT_KEYS)) for k, item in enumerate(light.items("points"))
         ),
-        environment=builder.environment_file(path.parent / environment, light.where) if environment else "",
+        environment=environment,
         environment_strength=light.number("environment_strength", default.environment_strength, low=0.0),
         environment_yaw=math.radians(light.number("environment_yaw_deg", 0.0)),
         environment_visible=light.flag("environment_visible", default.environment_visible),
+        backdrop=backdrop,
     )
 
 

@@ -10,7 +10,7 @@ from urllib.parse import unquote
 
 from gibson_sim.errors import SceneError, SceneNotFoundError
 from gibson_sim.scenes.textures import is_inside
-from gibson_sim.scenes.uris import environment_folders, installed_paths
+from gibson_sim.scenes.uris import environment_folders, exists, installed_paths
 
 MAX_BYTES = 512 * 1024 * 1024
 """Of a mesh."""
@@ -65,14 +65,6 @@ def path_of(uri: str) -> Path | None:
 def said(message: str) -> str:
     """Returns a message without the folder of what came as a string."""
     return message.replace(f"{NOWHERE}/", "").replace(str(NOWHERE), "any folder of models")
-
-
-def exists(path: Path) -> bool:
-    """Returns whether something is there that this process may see."""
-    try:
-        return path.exists()
-    except (OSError, ValueError):
-        return False
 
 
 def check_inside(path: Path, roots: Sequence[Path], uri: str) -> None:

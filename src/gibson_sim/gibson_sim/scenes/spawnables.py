@@ -12,7 +12,8 @@ from gibson_sim.errors import RobotError, SceneNotFoundError
 from gibson_sim.resources import share_folders
 from gibson_sim.robots.load import ROBOT_FILE, load_robot
 from gibson_sim.scenes.mesh import MESH_SUFFIXES
-from gibson_sim.scenes.sources import exists, path_of, walk
+from gibson_sim.scenes.sources import path_of, walk
+from gibson_sim.scenes.uris import exists
 from gibson_sim.types import Vec3
 
 _log = logging.getLogger(__name__)

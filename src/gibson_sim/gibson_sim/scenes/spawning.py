@@ -6,7 +6,6 @@ an error that names it. Knows neither ROS nor a physics engine.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from enum import Enum, auto
 from pathlib import Path
@@ -17,25 +16,16 @@ from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.load import ROBOT_FILE, load_robot
 from gibson_sim.robots.omissions import Omission, OmissionKind, kind_of
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.robots.urdf import UrdfModel, parse_urdf, read_urdf, resolve_mesh
+from gibson_sim.robots.urdf import UrdfModel, is_xacro, parse_urdf, read_urdf, resolve_mesh
 from gibson_sim.scenes.builder import SceneBuilder, class_from_model
 from gibson_sim.scenes.mesh import MESH_SUFFIXES, MeshLoader
 from gibson_sim.scenes.mesh_body import mesh_body
 from gibson_sim.scenes.plausible import check_plausible
 from gibson_sim.scenes.sdf_body import WORLD, SdfBodyReader
 from gibson_sim.scenes.sdf_model import SdfModels, sdf_files, sdf_version
-from gibson_sim.scenes.sources import (
-    MAX_BYTES,
-    MAX_DESCRIPTION_BYTES,
-    NOWHERE,
-    check_file,
-    check_inside,
-    exists,
-    path_of,
-    said,
-)  # fmt: skip
+from gibson_sim.scenes.sources import MAX_BYTES, MAX_DESCRIPTION_BYTES, NOWHERE, check_file, check_inside, path_of, said
 from gibson_sim.scenes.spawnables import Spawnable, find_spawnables, own_spawnables
-from gibson_sim.scenes.uris import UriResolver, ancestors
+from gibson_sim.scenes.uris import UriResolver, ancestors, exists
 from gibson_sim.types import Pose
 
 __all__ = [
@@ -46,7 +36,6 @@ SPAWN_FORMATS: tuple[str, ...] = ("urdf", "sdf", "robot.yaml", *(suffix[1:] for 
 """What can be spawned, as in SimulatorFeatures.spawn_formats."""
 _TEXT = NOWHERE / "resource_string"
 _ALLOWED = f"give a {ROBOT_FILE}, a URDF, an SDF model, a folder with one of these, or a mesh ({', '.join(MESH_SUFFIXES)})"
-_XACRO = re.compile(rb"<xacro:")
 
 
 class SpawnFailure(Enum):
@@ -186,10 +175,10 @@ def _described(data: bytes, path: Path, name: str, pose: Pose, roots: tuple[Path
     try:
         top = ElementTree.fromstring(data)
     except (ElementTree.ParseError, ValueError, LookupError) as e:
-        if _XACRO.search(data):
+        if is_xacro(data):
             raise _xacro_error(path) from e
         raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, f"{path}: is no well-formed XML: {e}") from e
-    if any("xacro" in element.tag for element in top.iter() if isinstance(element.tag, str)):
+    if is_xacro(data, top):
         raise _xacro_error(path)
     # Files of a model lie beside it, or beside the folders above it.
     folder = path.parent

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.spec import RobotSpec, Shape, VisualSpec
+from gibson_sim.scenes.room_spec import RoomSpec, room_at
 from gibson_sim.types import CameraSpec, Pose, Vec3
 
 WORLD_FRAME = "map"
@@ -86,6 +87,9 @@ class LightSpec:
     """Turns the environment about the world's z axis, counter-clockwise, radians."""
     environment_visible: bool = True
     """Show the environment as the background."""
+    backdrop: str = ""
+    """Absolute path of an equirectangular image that is the background and lights nothing; empty = none. What is seen through the windows
+    of a room, say, whose things the room itself lights."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,11 +121,17 @@ class SceneSpec:
     """Things that are no robots and can be moved, added and removed."""
     other_floors: tuple[float, ...] = ()
     """Heights of the floors beside ``floor_z``, metres."""
+    rooms: tuple[RoomSpec, ...] = ()
+    """Rooms that the scene names."""
 
     @property
     def floors(self) -> tuple[float, ...]:
         """Heights of all floors, from the lowest, metres."""
         return tuple(sorted({self.floor_z, *self.other_floors}))
+
+    def room_at(self, x: float, y: float, floor: int = 0) -> RoomSpec | None:
+        """Returns the room at a place, world metres, on a floor, 0 = the lowest; None = the scene names none there."""
+        return room_at(self.rooms, x, y, floor)
 
 
 @dataclass(frozen=True, slots=True)

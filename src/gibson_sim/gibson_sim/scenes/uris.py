@@ -53,7 +53,7 @@ class UriResolver:
 
     def find(self, uri: str, base: Path) -> Path | None:
         """Returns the file or folder that ``uri`` means in a file of folder ``base``, or None."""
-        return next((p for p in self._candidates(unquote(uri.strip()), base) if _exists(p)), None)
+        return next((p for p in self._candidates(unquote(uri.strip()), base) if exists(p)), None)
 
     def _candidates(self, uri: str, base: Path) -> Iterator[Path]:
         scheme, separator, rest = uri.partition("://")
@@ -83,8 +83,8 @@ class UriResolver:
             yield from (folder.joinpath(*parts[start:]) for folder in self.ancestors)
 
 
-def _exists(path: Path) -> bool:
-    """Whether something is there; False too for what can be no path (a NUL in it, a name that is too long)."""
+def exists(path: Path) -> bool:
+    """Returns whether something is there that this process may see; what can be no path (a NUL in it, a name too long) is not there."""
     try:
         return path.exists()
     except (OSError, ValueError):

@@ -18,9 +18,9 @@ from gibson_sim.scenes.builder import SceneBuilder
 from gibson_sim.scenes.load import DESCRIPTION, description_file, finish, is_sdf_world, read_scene, reader_and_root
 from gibson_sim.scenes.mesh import MESH_SUFFIXES
 from gibson_sim.scenes.sdf_world import place_world
-from gibson_sim.scenes.sources import MAX_BYTES, MAX_DESCRIPTION_BYTES, NOWHERE, check_file, exists, path_of, said, walk
+from gibson_sim.scenes.sources import MAX_BYTES, MAX_DESCRIPTION_BYTES, NOWHERE, check_file, path_of, said, walk
 from gibson_sim.scenes.spec import SceneSpec
-from gibson_sim.scenes.uris import environment_folders
+from gibson_sim.scenes.uris import environment_folders, exists
 
 _log = logging.getLogger(__name__)
 _DIRECTIVES = (".dmd.yaml", ".dmd.yml")

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.geometry.colours import LUMINANCE, linear_from_srgb
 from gibson_sim.geometry.transforms import Mat3, Mat4, matrix_from_quat, pose_from_matrix
 from gibson_sim.types import CameraSpec, Frame, Output, SceneState
 
@@ -212,7 +213,7 @@ class RenderedLidar:
             assert frame.rgb is not None
             assert frame.normal is not None
             color = frame.rgb.reshape(-1, 3)[view.pixel] / np.float32(255.0)
-            light = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4) @ (0.2126, 0.7152, 0.0722)
+            light = linear_from_srgb(color) @ LUMINANCE
             rays = self.directions[view.rays] @ view.T_link_view[:3, :3]
             cosine = np.abs(np.einsum("ij,ij->i", frame.normal.reshape(-1, 3)[view.pixel], rays))
             out[view.rays] = light * cosine

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.bags.comparison.recording import F64
+from gibson_sim.geometry.colours import linear_from_srgb
 
 STATISTICS = ("brightness", "contrast", "sharpness", "noise", "red", "green", "blue", "saturation")
 """Columns of ``Pictures.statistics``: 0 to 1 but for sharpness."""
@@ -53,11 +54,8 @@ def histogram_distance(a: F64, b: F64) -> float:
 
 def exposure_stops(real: float, sim: float) -> float:
     """Returns by how many stops the simulated camera must be exposed longer to be as bright, for sRGB means of 0 to 1."""
-    return math.log2(max(_linear(real), 1e-4) / max(_linear(sim), 1e-4))
-
-
-def _linear(value: float) -> float:
-    return value / 12.92 if value <= 0.04045 else float(((value + 0.055) / 1.055) ** 2.4)
+    linear = np.maximum(linear_from_srgb([real, sim]), 1e-4)
+    return math.log2(linear[0] / linear[1])
 
 
 def thumbnail(rgb: NDArray[np.uint8]) -> NDArray[np.uint8]:

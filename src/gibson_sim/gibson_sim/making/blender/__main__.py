@@ -20,7 +20,7 @@ from gibson_sim.making.blender.bake import Stage
 from gibson_sim.making.blender.denoise import denoised
 from gibson_sim.making.blender.mirrors import mirrors_of, reflection
 from gibson_sim.making.building_file import Quality, read_plan
-from gibson_sim.making.pixels import filled
+from gibson_sim.making.pixels import filled, hidden
 
 _COLOR_COST = 4.0
 """Samples of light that take as long as the colours."""
@@ -69,6 +69,8 @@ def _bake_all(stage: Stage, quality: Quality, wanted: list[tuple[int, str]], wor
         image = stage.color(atlas, size_px) if what == "color" else stage.light(atlas, size_px // 2, float(factors[atlas]))
         covered = image[..., 3] > 0.5
         if what == "light":
+            # What lies within something else is dark, which must not bleed onto what is seen beside it.
+            covered &= ~hidden(stage.openness(atlas, size_px // 2), covered)
             image[..., :3] = denoised(filled(image[..., :3], covered))
         part = work / f"{what}_{atlas}.part.npy"
         np.save(part, np.concatenate([image[..., :3], covered[..., None]], axis=-1).astype(np.float16))

@@ -9,20 +9,25 @@ import mathutils
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.geometry.colours import linear_from_srgb
 from gibson_sim.making.blender.assembly import NO_ATLAS, Assembly
 from gibson_sim.making.blender.materials import make_material
-from gibson_sim.making.blender.shapes import F64, I64
+from gibson_sim.making.blender.shapes import I64
 from gibson_sim.making.building import Building, Lamp, Opening, Room, Storey, Wall
 
 F32 = NDArray[np.float32]
-_COLOR_SAMPLES = 3
+_COLOR_SAMPLES, _OPENNESS_SAMPLES = 3, 4
+_NEAR_M = 0.02
+"""Something nearer than this hides a surface."""
 _SKY = (0.80, 0.90, 1.0)
 _SKY_WATTS = 2.6
 """Power of the sky for each square metre of floor, where its strength is 1: rooms are lit alike, as eyes and cameras see them."""
 _SUN, _LAMPS = 3.4, 0.3
 """Factors of the strengths in the plan."""
 _FILL_WATTS = 0.35
-"""Power of the light from everywhere under the ceiling of a room, for each square metre; three times that in rooms without windows."""
+"""Power of the light from everywhere under the ceiling of a room, for each square metre."""
+_NO_WINDOWS = 4.5
+"""Factor on it in rooms without windows."""
 _SMOOTH = np.radians(42.0)
 
 
@@ -51,7 +56,13 @@ class Stage:
         """Returns (H, W, 4): light on white, linear, row 0 at the bottom; ``factor`` times as many samples as usual."""
         return self._bake(atlas, size_px, {"DIRECT", "INDIRECT"}, round(self._samples * factor))
 
-    def _bake(self, atlas: int, size_px: int, passes: set[str], samples: int) -> F32:
+    def openness(self, atlas: int, size_px: int) -> F32:
+        """Returns (H, W): the part of the directions in which there is nothing near; row 0 at the bottom."""
+        self._scene.world.light_settings.distance = _NEAR_M
+        return self._bake(atlas, size_px, None, _OPENNESS_SAMPLES)[..., 0]
+
+    def _bake(self, atlas: int, size_px: int, passes: set[str] | None, samples: int) -> F32:
+        """Bakes passes of the diffuse light; None = ambient occlusion."""
         image = bpy.data.images.new("bake", size_px, size_px, float_buffer=True, alpha=True)
         image.generated_color = (0.0, 0.0, 0.0, 0.0)
         for _, target in self._materials.values():
@@ -61,7 +72,10 @@ class Stage:
         target_object = self._objects[atlas]
         target_object.select_set(True)
         bpy.context.view_layer.objects.active = target_object
-        bpy.ops.object.bake(type="DIFFUSE", pass_filter=passes, margin=0, use_clear=True)
+        if passes is None:
+            bpy.ops.object.bake(type="AO", margin=0, use_clear=True)
+        else:
+            bpy.ops.object.bake(type="DIFFUSE", pass_filter=passes, margin=0, use_clear=True)
         pixels = np.empty(size_px * size_px * 4, dtype=np.float32)
         image.pixels.foreach_get(pixels)
         bpy.data.images.remove(image)
@@ -102,7 +116,7 @@ class Stage:
         place = mesh.attributes.new("place", "FLOAT_VECTOR", "CORNER")
         place.data.foreach_set("vector", assembly.place[chosen].astype(np.float32).ravel())
         tint = mesh.attributes.new("tint", "FLOAT_VECTOR", "CORNER")
-        tint.data.foreach_set("vector", np.repeat(_linear(assembly.tint[chosen]), 3, axis=0).astype(np.float32).ravel())
+        tint.data.foreach_set("vector", np.repeat(linear_from_srgb(assembly.tint[chosen]), 3, axis=0).astype(np.float32).ravel())
         mesh.set_sharp_from_angle(angle=_SMOOTH)
         made = bpy.data.objects.new(name, mesh)
         self._scene.collection.objects.link(made)
@@ -139,7 +153,7 @@ class Stage:
         for wall, opening in windows:
             part = opening.width * opening.height / sum(o.width * o.height for _, o in windows)
             self._window(wall, opening, storey.floor_z, _SKY_WATTS * sky * area * part)
-        light = self._light("AREA", _FILL_WATTS * area * (1.0 if windows else 3.0), (1.0, 0.97, 0.93))
+        light = self._light("AREA", _FILL_WATTS * area * (1.0 if windows else _NO_WINDOWS), (1.0, 0.97, 0.93))
         low, high = corners.min(axis=0), corners.max(axis=0)
         light.data.shape, light.data.size, light.data.size_y = "RECTANGLE", *(float(v) for v in 0.7 * (high - low))
         light.location = (*((low + high) / 2), storey.floor_z + storey.height - 0.15)
@@ -166,11 +180,6 @@ class Stage:
             light = self._light("POINT", power, color)
             light.data.shadow_soft_size = min(lamp.size / 2, 0.12)
         light.location = lamp.position
-
-
-def _linear(srgb: F64) -> F64:
-    """Returns linear light of sRGB."""
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
 def _of_temperature(kelvin: float) -> tuple[float, float, float]:

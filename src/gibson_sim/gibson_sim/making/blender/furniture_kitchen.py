@@ -7,7 +7,8 @@ import itertools
 import numpy as np
 
 from gibson_sim.making.blender.furniture_living import bar, choose, fronts
-from gibson_sim.making.blender.looks import look, vivid
+from gibson_sim.making.blender.goods import goods
+from gibson_sim.making.blender.looks import look
 from gibson_sim.making.blender.shapes import Solid, Surface
 
 _FRONTS = ("wood_white", "wood_white", "wood_oak", "plaster_sage", "plaster_blue")
@@ -172,36 +173,6 @@ def display_fridge(s: Solid, d: float, w: float, h: float) -> None:
         s.box((-d / 2 + 0.06, -w / 2 + 0.05, low), (d / 2 - 0.06, w / 2 - 0.05, low + 0.015), look("metal_steel"), 0.001, "-x")
         goods(s, (-d / 2 + 0.2, -w / 2 + 0.06, low + 0.015), (d / 2 - 0.07, w / 2 - 0.06, high - 0.03))
     s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, h))
-
-
-def goods(s: Solid, low: tuple[float, float, float], high: tuple[float, float, float]) -> None:
-    """Fills a shelf with goods: boxes, bottles and cans, several of each in a row, their fronts at the high x."""
-    y, room = low[1] + 0.01, high[2] - low[2]
-    while y < high[1] - 0.12:
-        color, kind = vivid(s.rng, (0.25, 0.85), (0.35, 0.92)), s.rng.random()
-        wide, tall = s.rng.uniform(0.06, 0.15), room * s.rng.uniform(0.5, 0.9)
-        count = int(s.rng.integers(2, 5))
-        for _ in range(count):
-            if y + wide > high[1]:
-                break
-            middle, x = y + wide / 2, high[0] - s.rng.uniform(0.0, 0.03)
-            if kind < 0.6:
-                s.box((x - 0.12, y + 0.002, low[2]), (x, y + wide - 0.004, low[2] + tall), look("paper", color), 0.002, "-x -z")
-                s.box(
-                    (x, y + wide * 0.2, low[2] + tall * 0.4),
-                    (x + 0.001, y + wide * 0.8, low[2] + tall * 0.75),
-                    look("paper"),
-                    0,
-                    "-x",
-                )
-            else:
-                r = min(wide / 2, 0.04) - 0.002
-                s.lathe(
-                    (x - r, middle, low[2]), [(r, 0), (r, tall * 0.6), (r * 0.4, tall * 0.75), (r * 0.4, tall), (0, tall)],
-                    Surface("plain", color), 8,
-                )  # fmt: skip
-            y += wide
-        y += s.rng.uniform(0.0, 0.04)
 
 
 BUILDERS = {

@@ -6,8 +6,8 @@ import itertools
 
 import numpy as np
 
-from gibson_sim.making.blender.furniture_kitchen import goods
 from gibson_sim.making.blender.furniture_living import cabinet, choose, fronts
+from gibson_sim.making.blender.goods import goods
 from gibson_sim.making.blender.looks import look, varied, vivid
 from gibson_sim.making.blender.shapes import Solid, Surface, placed
 

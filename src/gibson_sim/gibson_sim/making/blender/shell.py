@@ -67,7 +67,7 @@ def build_shell(building: Building) -> list[Thing]:
                     name = "window" if opening.kind == "window" else "door_frame"
                     things.append(Thing(f"{name}{tag}_{number}_{k}", name, solid))
         things += _shut(storey, rng, level)
-        things.append(_lid(storey, rng, level))
+    things += _lids(building)
     for number, flight in enumerate(building.stairs):
         solid = Solid(np.random.default_rng((building.seed, 12, number)))
         low, high = building.storeys[flight.storey], building.storeys[flight.storey + 1]
@@ -199,9 +199,17 @@ def _thresholds(solid: Solid, room: Room, storey: Storey) -> None:
 
 
 def _slab_boxes(solid: Solid, polygon: F64, holes: list[tuple[Point, ...]], z: float) -> None:
-    grown = polygon + np.sign(polygon - polygon.mean(axis=0)) * 0.06
-    for x0, y0, x1, y1 in _cells(grown, holes):
+    for x0, y0, x1, y1 in _cells(widened(polygon, 0.06), holes):
         solid.collide((x0, y0, z - 0.2), (x1, y1, z))
+
+
+def widened(polygon: F64, by: float) -> F64:
+    """Returns a counter-clockwise polygon (N, 2) whose sides have moved outwards, metres."""
+    sides = np.roll(polygon, -1, axis=0) - polygon
+    outward = np.column_stack([sides[:, 1], -sides[:, 0]]) / np.linalg.norm(sides, axis=1, keepdims=True)
+    before = np.roll(outward, 1, axis=0)
+    straight = np.abs(np.sum(before * outward, axis=1, keepdims=True)) > 0.5
+    return np.asarray(polygon + by * np.where(straight, outward, before + outward))
 
 
 def _wall(solid: Solid, wall: Wall, storey: Storey, rooms: dict[str, Room], insets: dict[str, F64]) -> None:
@@ -301,13 +309,16 @@ def _shut(storey: Storey, rng: np.random.Generator, level: int) -> list[Thing]:
     return things
 
 
-def _lid(storey: Storey, rng: np.random.Generator, level: int) -> Thing:
-    """Returns what keeps light from above and from below out of a storey."""
-    solid = Solid(rng)
-    points = np.array([p for wall in storey.walls for p in (wall.start, wall.end)])
-    (x0, y0), (x1, y1) = points.min(axis=0) - 0.3, points.max(axis=0) + 0.3
+def _lids(building: Building) -> list[Thing]:
+    """Returns what keeps light out from above the highest and from below the lowest storey."""
     surface = Surface("outside", (0.5, 0.5, 0.5))
-    solid.box((x0, y0, storey.floor_z + storey.height + 0.3), (x1, y1, storey.floor_z + storey.height + 0.35), surface, 0)
-    if level == 0:
-        solid.box((x0, y0, storey.floor_z - 0.1), (x1, y1, storey.floor_z - 0.05), surface, 0)
-    return Thing(f"lid_{level}", "", solid, exported=False)
+    ends = [(building.storeys[-1], building.storeys[-1].height + 0.3), (building.storeys[0], -0.1)]
+    things = []
+    for number, (storey, height) in enumerate(ends):
+        solid = Solid(np.random.default_rng((building.seed, 13, number)))
+        points = np.array([p for wall in storey.walls for p in (wall.start, wall.end)])
+        (x0, y0), (x1, y1) = points.min(axis=0) - 0.3, points.max(axis=0) + 0.3
+        z = storey.floor_z + height
+        solid.box((x0, y0, z), (x1, y1, z + 0.05), surface, 0)
+        things.append(Thing(f"lid_{number}", "", solid, exported=False))
+    return things

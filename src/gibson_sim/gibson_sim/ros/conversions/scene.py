@@ -135,6 +135,7 @@ def _light_to_msg(light: LightSpec) -> RosLight:
         environment_strength=light.environment_strength,
         environment_yaw=light.environment_yaw,
         environment_visible=light.environment_visible,
+        backdrop=light.backdrop,
     )
 
 
@@ -163,6 +164,7 @@ def _light_from_msg(msg: RosLight) -> LightSpec:
         environment_strength=msg.environment_strength,
         environment_yaw=msg.environment_yaw,
         environment_visible=msg.environment_visible,
+        backdrop=msg.backdrop,
     )
 
 

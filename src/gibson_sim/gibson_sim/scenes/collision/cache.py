@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from gibson_sim import __version__
 from gibson_sim.errors import SceneError
+from gibson_sim.resources import cache_folder
 
 _log = logging.getLogger(__name__)
 LIMIT_BYTES = 2 * 2**30
@@ -28,9 +29,8 @@ RECORD = "made.json"
 
 
 def default_folder() -> Path:
-    """Returns ``$XDG_CACHE_HOME/gibson-sim/collision``, or the same below ``~/.cache``."""
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(base) if base else Path.home() / ".cache") / "gibson-sim" / "collision"
+    """Returns the folder of the user's own cache."""
+    return cache_folder("collision")
 
 
 def digest_of(vertices: NDArray[np.float64], triangles: NDArray[np.int64], *what: object) -> str:

@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from gibson_sim.errors import MeshError
+from gibson_sim.geometry.triangles import spread_over
 from gibson_sim.scenes.collision.planes import Flattened, Slab, flatten_floors
-from gibson_sim.scenes.collision.triangles import distances, sample, simplify, smooth, weld
+from gibson_sim.scenes.collision.triangles import distances, simplify, smooth, weld
 
 _log = logging.getLogger(__name__)
 F64 = NDArray[np.float64]
@@ -97,13 +98,13 @@ class _Measure:
 
     def __init__(self, scan: F64, tops: F64, max_error: float) -> None:
         self._scan, self._tops, self._max_error = scan, tops, max_error
-        self._points = sample(scan, _SAMPLES, np.random.default_rng(0))[0]
+        self._points = spread_over(scan, _SAMPLES, np.random.default_rng(0))[0]
 
     def check(self, vertices: F64, triangles: I64) -> tuple[float, F64]:
         """Returns the greatest distance of sample points, both ways, and the points (N, 3) of which it is too large."""
         rng = np.random.default_rng(1)
         mesh = np.concatenate([vertices[triangles], self._tops])
-        points = np.concatenate([self._points, sample(mesh, _SAMPLES, rng)[0]])
+        points = np.concatenate([self._points, spread_over(mesh, _SAMPLES, rng)[0]])
         there = distances(self._points, mesh, rng)
         away = np.concatenate([there, distances(points[len(there) :], self._scan, rng)])
         return float(away.max(initial=0.0)), points[away >= self._max_error]

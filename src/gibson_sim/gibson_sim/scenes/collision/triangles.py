@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +13,7 @@ from scipy.sparse import csgraph
 from scipy.spatial import cKDTree
 
 from gibson_sim.errors import MeshError
+from gibson_sim.geometry.triangles import areas_of, spread_over
 
 Bools = NDArray[np.bool_]
 F64 = NDArray[np.float64]
@@ -21,6 +23,8 @@ _ERROR_IN_METRES = 4
 """meshopt_SimplifyErrorAbsolute."""
 _PRUNE = 8
 """meshopt_SimplifyPrune: specks smaller than the error go."""
+_NO_LIMIT = 1000.0
+"""Metres."""
 _ROUNDS = 10
 _NEAREST = (4, 64)
 _DOUBTFUL = 0.02
@@ -46,30 +50,13 @@ def compact(vertices: F64, triangles: I64) -> tuple[F64, I64]:
     return vertices[used], corners.reshape(-1, 3).astype(np.int64)
 
 
-def areas_of(corners: F64) -> F64:
-    """Returns the areas (F,) of triangles (F, 3, 3), square metres."""
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return np.asarray(np.linalg.norm(across, axis=1) / 2)
-
-
-def components(triangles: I64, vertex_count: int) -> I64:
+def components(triangles: NDArray[np.integer], vertex_count: int) -> I64:
     """Returns (F,): the number of the connected part of each triangle; parts that share a vertex are one."""
     if not len(triangles):
         return np.zeros(0, dtype=np.int64)
     ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
     graph = sparse.coo_matrix((np.ones(len(ends), dtype=bool), tuple(ends.T)), shape=(vertex_count, vertex_count))
     return np.asarray(csgraph.connected_components(graph, directed=False)[1][triangles[:, 0]], dtype=np.int64)
-
-
-def sample(corners: F64, count: int, rng: np.random.Generator) -> tuple[F64, I64]:
-    """Returns ``count`` points (N, 3), evenly spread over triangles (F, 3, 3), and the triangle of each, (N,)."""
-    areas = areas_of(corners)
-    if not areas.sum() > 0:
-        return np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
-    which = np.asarray(rng.choice(len(corners), size=count, p=areas / areas.sum()), dtype=np.int64)
-    root, v = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
-    a, b, c = (corners[which, k] for k in range(3))
-    return np.asarray((1 - root) * a + root * (1 - v) * b + root * v * c), which
 
 
 def distances(points: F64, corners: F64, rng: np.random.Generator, density: float = 500.0) -> F64:
@@ -80,7 +67,7 @@ def distances(points: F64, corners: F64, rng: np.random.Generator, density: floa
     if not len(corners):
         return np.full(len(points), np.inf)
     count = int(np.clip(areas_of(corners).sum() * density, 10_000, 300_000))
-    around, owner = sample(corners, count, rng)
+    around, owner = spread_over(corners, count, rng)
     # Triangles too small to be sampled count too.
     around = np.concatenate([around, corners.mean(axis=1)])
     owner = np.concatenate([owner, np.arange(len(corners))])
@@ -135,18 +122,36 @@ def simplify(vertices: F64, triangles: I64, error: float, fixed: Bools) -> tuple
     Raises:
         MeshError: meshoptimizer is not installed.
     """
+    return compact(vertices, simplified_triangles(vertices, triangles, error=error, fixed=fixed))
+
+
+def simplified_triangles(
+    vertices: NDArray[Any], triangles: NDArray[Any], *, error: float = _NO_LIMIT, least: int = 0, fixed: Bools | None = None
+) -> I64:
+    """Returns fewer triangles, (F, 3), between the same vertices, most of which are then in none.
+
+    Args:
+        vertices: (V, 3), welded.
+        triangles: (F, 3).
+        error: metres, as for ``simplify``.
+        least: it stops at about so many triangles.
+        fixed: (V,), vertices that must stay; None = none must.
+
+    Raises:
+        MeshError: meshoptimizer is not installed.
+    """
     if not len(triangles):
-        return vertices, triangles
+        return np.zeros((0, 3), dtype=np.int64)
     points = np.ascontiguousarray(vertices, dtype=np.float32)
     indices = np.ascontiguousarray(triangles, dtype=np.uint32)
-    locks = np.ascontiguousarray(fixed, dtype=np.uint8)
+    locks = np.ascontiguousarray(np.zeros(len(points)) if fixed is None else fixed, dtype=np.uint8)
     out = np.empty(indices.size, dtype=np.uint32)
     reached = ctypes.c_float()
     count = _simplifier()(
         out.ctypes.data, indices.ctypes.data, indices.size, points.ctypes.data, len(points), 12, None, 0, None, 0,
-        locks.ctypes.data, 0, error, _ERROR_IN_METRES | _PRUNE, ctypes.byref(reached),
+        locks.ctypes.data, 3 * least, error, _ERROR_IN_METRES | _PRUNE, ctypes.byref(reached),
     )  # fmt: skip
-    return compact(vertices, out[:count].astype(np.int64).reshape(-1, 3))
+    return out[:count].astype(np.int64).reshape(-1, 3)
 
 
 def _simplifier() -> Callable[..., int]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from gibson_sim.scenes.generator.flat import make_flat
 from gibson_sim.scenes.generator.rooms import make_rooms
+from gibson_sim.scenes.maps.scene_files import write_scene_files
 
 SCENES = ("flat", "rooms")
 
@@ -21,6 +22,7 @@ def main(argv: list[str] | None = None) -> None:
     args = parser.parse_args(argv)
     if args.scene == "flat":
         make_flat(args.folder, args.seed)
+        write_scene_files(args.folder)
     else:
         make_rooms(args.folder, args.seed, args.triangles)
 

@@ -54,6 +54,10 @@ ROOMS = (
 )
 
 
+_CLASSES = {"living": "living_room"}
+"""Of rooms whose name is another."""
+
+
 @dataclass(frozen=True)
 class Opening:
     """A hole in a wall, from ``start`` to ``end`` along it."""
@@ -181,6 +185,14 @@ def make_flat(folder: Path, seed: int = 1) -> None:
         "description": "A flat of five rooms, 9 x 8.6 m, made by gibson_sim.scenes.generator",
         "ground_z": 0.0,
         "floor_z": 0.0,
+        "rooms": [
+            {
+                "name": r.name,
+                "class": _CLASSES.get(r.name, r.name),
+                "polygon": [[r.x0, r.y0], [r.x1, r.y0], [r.x1, r.y1], [r.x0, r.y1]],
+            }
+            for r in ROOMS
+        ],
         "light": {"sun_direction": [0.45, 0.6, -0.66], "sun": 0.5, "ambient": 0.62, "background": [0.75, 0.84, 0.93]},
         "starts": [{"name": n, "xy": [x, y], "yaw_deg": yaw} for n, x, y, yaw in STARTS],
         "objects": flat.objects,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +9,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from gibson_sim.scenes.glb_file import glb_bytes
 
 F32 = NDArray[np.float32]
 _ARRAY, _INDICES = 34962, 34963
@@ -169,11 +169,7 @@ def write_glb(path: Path, solid: Solid) -> None:
         document["textures"] = [{"source": i} for i in range(len(images))]
     if any(p.unlit for p in solid.points):
         document["extensionsUsed"] = ["KHR_materials_unlit"]
-    text = json.dumps(document, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    binary.extend(b"\0" * (-len(binary) % 4))
-    chunks = struct.pack("<II", len(text), 0x4E4F534A) + text + struct.pack("<II", len(binary), 0x004E4942) + bytes(binary)
-    path.write_bytes(struct.pack("<III", 0x46546C67, 2, 12 + len(chunks)) + chunks)
+    path.write_bytes(glb_bytes(document, binary))
 
 
 def _y_up(z_up: F32) -> F32:

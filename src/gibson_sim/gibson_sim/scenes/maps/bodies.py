@@ -1,17 +1,18 @@
-"""What the movable things of a scene take up where they stand at load."""
+"""The movable things of a scene where they stand at load: what they take up, and how they look."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, transform_points
+from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, pose_from_matrix, transform_points
 from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.spec import Shape
+from gibson_sim.robots.spec import Shape, VisualSpec
 from gibson_sim.robots.urdf import UrdfJoint
 from gibson_sim.scenes.mesh import MeshLoader
 from gibson_sim.scenes.mesh_types import merge
@@ -37,6 +38,17 @@ def body_triangles(scene: SceneSpec) -> Triangles:
                 vertices, triangles = known[collision.shape]
                 parts.append((transform_points(places[link.name] @ matrix_from_pose(collision.pose), vertices), triangles))
     return merge(parts)
+
+
+def still_visuals(scene: SceneSpec) -> tuple[VisualSpec, ...]:
+    """Returns everything that is drawn but robots, bodies where they stand at load, as if all were part of the building."""
+    out = list(scene.visuals)
+    for body in scene.bodies:
+        places = link_transforms(body)
+        for visual in body.visuals:
+            link = visual.link.removeprefix(f"{body.name}/")
+            out.append(replace(visual, link="", pose=pose_from_matrix(places[link] @ matrix_from_pose(visual.pose))))
+    return tuple(out)
 
 
 def link_transforms(body: BodySpec) -> dict[str, Mat4]:
@@ -67,6 +79,10 @@ def _solid(loader: MeshLoader, shape: Shape) -> Triangles:
     if shape.kind != "mesh":
         return vertices, triangles
     try:
-        return vertices, np.asarray(ConvexHull(vertices).simplices, dtype=np.int32)
+        hull = ConvexHull(vertices)
     except (QhullError, ValueError):  # flat, or hardly any corners
         return vertices, triangles
+    # Qhull gives the corners of a triangle in any order, but its outward normal too.
+    a, b, c = (vertices[hull.simplices[:, k]] for k in range(3))
+    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    return vertices, np.where(inwards[:, None], hull.simplices[:, ::-1], hull.simplices).astype(np.int32)

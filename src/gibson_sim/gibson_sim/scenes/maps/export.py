@@ -17,6 +17,8 @@ Bytes = NDArray[np.uint8]
 
 OCCUPIED, UNKNOWN, FREE = 0, 205, 254
 """Grey values that Nav2's map server writes and reads in its mode "trinary"."""
+FLOORS = "floors.txt"
+"""File with the heights of all floors, as Gibson's scenes have it."""
 GIBSON_RESOLUTION = 0.01
 """Metres for each pixel of ``floor_trav_N.png``."""
 _MOST_PIXELS = 12_000
@@ -63,7 +65,7 @@ def write_gibson_maps(floors: Sequence[FloorMap], folder: Path) -> tuple[Path, .
     for number, floor in enumerate(floors):
         paths.append(folder / f"floor_trav_{number}.png")
         _write(paths[-1], _png(_gibson_picture(floor)))
-    paths.append(folder / "floors.txt")
+    paths.append(folder / FLOORS)
     _write(paths[-1], "".join(f"{floor.floor_z:g}\n" for floor in floors).encode())
     return tuple(paths)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.geometry.triangles import unit_normals
 from gibson_sim.scenes.mesh import collision_triangles
-from gibson_sim.scenes.rasterise import unit_normals
 from gibson_sim.scenes.spec import SceneSpec
 
 F64 = NDArray[np.float64]

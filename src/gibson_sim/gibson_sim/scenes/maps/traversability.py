@@ -11,12 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from gibson_sim.errors import SceneError
+from gibson_sim.geometry.triangles import unit_normals
 from gibson_sim.scenes.floor_map import FLOOR_CLEARANCE, FLOOR_TOLERANCE, FloorMap, grid_about, under_ceiling
 from gibson_sim.scenes.maps.bodies import body_triangles
 from gibson_sim.scenes.maps.levels import scene_floors
 from gibson_sim.scenes.mesh import collision_triangles
 from gibson_sim.scenes.mesh_types import merge
-from gibson_sim.scenes.rasterise import Grid, clip_to_slab, unit_normals
+from gibson_sim.scenes.rasterise import Grid, clip_to_slab
+from gibson_sim.scenes.solids import inside_solids
 from gibson_sim.scenes.spec import SceneSpec
 
 Bools = NDArray[np.bool_]
@@ -73,10 +75,8 @@ def floor_maps(
     Raises:
         SceneError: there is nothing at a floor's height.
     """
-    fixed = collision_triangles(scene)
-    heights = scene_floors(scene, fixed) if floors is None else tuple(floors)
-    vertices, triangles = merge([fixed, body_triangles(scene)]) if bodies and scene.bodies else fixed
-    corners = vertices[triangles]
+    heights = scene_floors(scene) if floors is None else tuple(floors)
+    corners = scene_triangles(scene, bodies=bodies)
     return tuple(
         traversable_map(
             corners,
@@ -89,6 +89,13 @@ def floor_maps(
     )
 
 
+def scene_triangles(scene: SceneSpec, *, bodies: bool = True) -> F64:
+    """Returns all that robots bump into as triangles (F, 3, 3), world frame, metres; bodies where they stand at load."""
+    fixed = collision_triangles(scene)
+    vertices, triangles = merge([fixed, body_triangles(scene)]) if bodies and scene.bodies else fixed
+    return np.asarray(vertices[triangles])
+
+
 def traversable_map(
     corners: ArrayLike, *, floor_z: float, robot: RobotSize, resolution: float = 0.05, ground_plane: bool = False
 ) -> FloorMap:
@@ -96,6 +103,7 @@ def traversable_map(
 
     A cell can be stood in at a height where a surface within the slope limit lies, and nothing between the robot's step and its
     height above that. It is free if such places lead to it from the floor, each at most a step higher or lower than the one before.
+    Inside of what stands on the floor nothing is free.
 
     Args:
         corners: (F, 3, 3), triangles, world frame, metres.
@@ -116,6 +124,8 @@ def traversable_map(
     grid = grid_about(level, obstacles, resolution, floor_z, ground_plane)
 
     layers = _layers(surfaces, floor_z, grid, ground_plane)
+    solid = inside_solids(every, grid, floor_z, floor_z - FLOOR_TOLERANCE, floor_z + FLOOR_CLEARANCE, ground_plane=ground_plane)
+    layers[: len(layers) // 2 + round(FLOOR_CLEARANCE / _LAYER) + 1] &= ~solid
     steps = max(1, math.floor(robot.step / _LAYER + 1e-6))
     seeds = np.zeros_like(layers)
     middle = len(layers) // 2
@@ -125,7 +135,7 @@ def traversable_map(
         low = height + max(robot.step, FLOOR_CLEARANCE) + _LAYER / 2
         layers[index] &= ~grid.cover(clip_to_slab(near, low, height + robot.height))
     free = _grown(seeds & layers, layers, steps).any(axis=0)
-    floor = np.asarray(free | layers.any(axis=0))
+    floor = np.asarray(free | solid | layers.any(axis=0))
     occupied = np.asarray((grid.cover(obstacles) | floor) & ~free)
     return FloorMap(grid.resolution, grid.origin, occupied, floor, under_ceiling(every, floor_z, grid), floor_z)
 

@@ -15,6 +15,8 @@ import bmesh
 import bpy
 from mathutils import Euler, Matrix, Vector
 
+from gibson_sim.geometry.colours import linear_from_srgb
+
 Point = Sequence[float]
 Atlas = Mapping[str, tuple[float, float, float, float]]
 """Side of a box (``+x`` to ``-z``) -> (left, top, right, bottom) of what it shows of the picture, fractions, from the top left."""
@@ -56,7 +58,7 @@ class Shop:
             material = bpy.data.materials.new(f"paint_{len(self._materials)}")
             material.use_nodes = True
             shader = material.node_tree.nodes["Principled BSDF"]
-            color = (*(_linear(c) for c in paint.color), 1.0)
+            color = (*linear_from_srgb(paint.color).tolist(), 1.0)
             shader.inputs["Base Color"].default_value = color
             shader.inputs["Metallic"].default_value = paint.metallic
             shader.inputs["Roughness"].default_value = paint.roughness
@@ -339,7 +341,3 @@ def _in_atlas(co: Vector, side: str, size: Sequence[float], window: tuple[float,
     }[side]
     left, top, end, bottom = window
     return left + right * (end - left), 1.0 - (bottom + up * (top - bottom))
-
-
-def _linear(value: float) -> float:
-    return value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4

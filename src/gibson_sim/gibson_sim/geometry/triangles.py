@@ -1,0 +1,35 @@
+"""Areas and normals of triangles, given by their corners (F, 3, 3)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+F64 = NDArray[np.float64]
+
+
+def areas_of(corners: F64) -> F64:
+    """Returns the areas (F,) of triangles (F, 3, 3); square metres where these are in metres."""
+    return np.asarray(np.linalg.norm(_crosses(corners), axis=1) / 2)
+
+
+def unit_normals(corners: F64) -> F64:
+    """Returns the normals (F, 3) of triangles (F, 3, 3), on the side that sees their corners counter-clockwise; 0 of those without an area."""
+    crosses = _crosses(corners)
+    lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
+    return np.asarray(np.divide(crosses, lengths, out=np.zeros_like(crosses), where=lengths > 0))
+
+
+def spread_over(corners: F64, count: int, rng: np.random.Generator) -> tuple[F64, NDArray[np.int64]]:
+    """Returns ``count`` points (N, 3), evenly spread over triangles (F, 3, 3), and the triangle of each, (N,); none if nothing has an area."""
+    areas = areas_of(corners)
+    if not areas.sum() > 0:
+        return np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+    which = np.asarray(rng.choice(len(corners), size=count, p=areas / areas.sum()), dtype=np.int64)
+    root, v = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
+    a, b, c = (corners[which, k] for k in range(3))
+    return np.asarray((1 - root) * a + root * (1 - v) * b + root * v * c), which
+
+
+def _crosses(corners: F64) -> F64:
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -1,0 +1,90 @@
+"""What a finished scene carries beside its meshes: rooms, maps, free poses, licence, thumbnail. What is missing, and what no longer fits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from gibson_sim.errors import SceneError
+from gibson_sim.scenes.floor_map import FLOOR_CLEARANCE
+from gibson_sim.scenes.free_poses import FREE_POSES, FreePose, scene_free_poses
+from gibson_sim.scenes.load import DESCRIPTION
+from gibson_sim.scenes.maps.clearance import clearances
+from gibson_sim.scenes.maps.export import FLOORS
+from gibson_sim.scenes.maps.traversability import scene_triangles
+from gibson_sim.scenes.spec import SceneSpec
+
+_SLACK = 0.001
+"""Metres: heights and places in the files are rounded."""
+
+
+def missing(scene: SceneSpec) -> list[str]:
+    """Returns what a scene of ours lacks, in words; nothing of one that has no scene.yaml."""
+    if not (scene.root / DESCRIPTION).is_file():
+        return []
+    files = [*(f"floor_trav_{number}.png" for number in range(len(scene.floors))), FLOORS, FREE_POSES, "LICENSE", "thumbnail.jpg"]
+    return [*([] if scene.rooms else [f"rooms in {DESCRIPTION}"]), *(name for name in files if not (scene.root / name).is_file())]
+
+
+def out_of_date(scene: SceneSpec, radius: float, height: float) -> Iterator[str]:
+    """Yields what its maps and free poses say that is not so, in words.
+
+    Args:
+        scene: as it was loaded.
+        radius: of a robot that must have room at every free pose, metres.
+        height: of that robot.
+    """
+    yield from _floors(scene)
+    try:
+        poses = scene_free_poses(scene)
+    except SceneError as error:
+        yield str(error)
+        return
+    beyond = sum(pose.floor >= len(scene.floors) for pose in poses)
+    if beyond:
+        yield f"{FREE_POSES}: {beyond} poses lie on floors that the scene has not: it has {len(scene.floors)}"
+    elsewhere = sum(_room(scene, pose) != pose.room for pose in poses)
+    if elsewhere:
+        yield f"{FREE_POSES}: {elsewhere} of {len(poses)} poses lie in another room than it says"
+    blocked = int(np.sum(free_distances(scene, poses, height) < radius - _SLACK))
+    if blocked:
+        yield f"{FREE_POSES}: {blocked} of {len(poses)} poses are not free for a robot of radius {radius:g} m"
+
+
+def free_distances(
+    scene: SceneSpec, poses: Sequence[FreePose], height: float
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Returns metres from poses to the nearest thing, bodies too, up to a robot's height, (N,); at most 1; 1 on floors that are not there."""
+    out = np.ones(len(poses))
+    if not poses:
+        return out
+    corners = scene_triangles(scene)
+    numbers = np.array([pose.floor for pose in poses])
+    places = np.array([(pose.x, pose.y) for pose in poses])
+    for number, floor_z in enumerate(scene.floors):
+        here = numbers == number
+        out[here] = clearances(corners, places[here], floor_z + FLOOR_CLEARANCE, floor_z + height)
+    return out
+
+
+def _floors(scene: SceneSpec) -> Iterator[str]:
+    path = scene.root / FLOORS
+    if not path.is_file():
+        return
+    try:
+        heights = sorted(float(word) for word in path.read_text(encoding="utf-8").split())
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        yield f"{FLOORS}: cannot be read: {error}"
+        return
+    if len(heights) != len(scene.floors) or any(abs(a - b) > _SLACK for a, b in zip(heights, scene.floors, strict=True)):
+        yield f"{FLOORS}: has floors at {_text(heights)} m, the scene at {_text(scene.floors)} m"
+
+
+def _room(scene: SceneSpec, pose: FreePose) -> str:
+    room = scene.room_at(pose.x, pose.y, pose.floor)
+    return "" if room is None else room.name
+
+
+def _text(heights: Sequence[float]) -> str:
+    return ", ".join(f"{z:g}" for z in heights) or "no heights"

@@ -1,0 +1,39 @@
+"""Cuts a concave mesh into convex parts with V-HACD, which comes with PyBullet and speaks OBJ files."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import PhysicsError
+from gibson_sim.physics.engine import pybullet, quiet
+from gibson_sim.physics.obj_text import objects_of_obj, to_obj
+
+_VOXELS = 50_000
+"""That V-HACD cuts a mesh into."""
+
+
+def convex_parts(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int64]
+) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
+    """Returns convex parts that together fill about what a mesh fills, each as vertices (V, 3) and triangles (F, 3); V-HACD makes them.
+
+    Args:
+        vertices: (V, 3).
+        triangles: (F, 3).
+
+    Raises:
+        PhysicsError: it makes none.
+    """
+    with tempfile.TemporaryDirectory(prefix="gibson_sim_parts_") as folder:
+        whole, parts = Path(folder, "whole.obj"), Path(folder, "parts.obj")
+        whole.write_text(to_obj(vertices, triangles), encoding="ascii")
+        with quiet():
+            pybullet.vhacd(str(whole), str(parts), str(Path(folder, "log.txt")), resolution=_VOXELS)
+        out = objects_of_obj(parts.read_text(encoding="ascii").splitlines()) if parts.is_file() else []
+    if not out:
+        raise PhysicsError(f"V-HACD makes no convex parts of a mesh with {len(triangles)} triangles; is it flat, or empty?")
+    return out

@@ -1,0 +1,83 @@
+"""The motors of one body's joints: what they are told, and what they do in each step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from gibson_sim.physics.bullet import Bullet
+from gibson_sim.physics.engine_types import BulletBody
+from gibson_sim.robots.joint_commands import JointCommand, JointTrajectory
+from gibson_sim.robots.joint_control import JointControl
+from gibson_sim.robots.urdf import UrdfJoint
+from gibson_sim.types import NS_PER_S
+
+_HOLD_EFFORT = 100.0
+"""N m or N: moves and holds a joint whose URDF gives no effort."""
+
+
+class JointMotors:
+    """Motors that obey joint commands within the limits of their joints."""
+
+    def __init__(self, body: BulletBody, joints: Sequence[UrdfJoint], others: Sequence[str] = ()) -> None:
+        """Commands nothing yet.
+
+        Args:
+            body: Has been loaded.
+            joints: Those with motors.
+            others: Joints that move, but obey others: for error messages.
+        """
+        self._body = body
+        self._control = JointControl(joints, others)
+        self._efforts = {joint.name: joint.effort or _HOLD_EFFORT for joint in joints}
+
+    @property
+    def active(self) -> bool:
+        """Whether anything may change in the next step."""
+        return bool(self._control.active)
+
+    def command(self, bullet: Bullet, command: JointCommand, now_ns: int) -> None:
+        """Obeys ``command`` from the next step on; joints that it does not name go on as they were told.
+
+        Raises:
+            CommandError: an unknown joint, a number beyond a limit, a trajectory that is over; nothing has changed then.
+        """
+        names = self._control.names
+        positions: dict[str, float] = {}
+        velocities: dict[str, float] = {}
+        if names:
+            reading = bullet.joint_reading(self._body, self._indices(names))
+            positions = dict(zip(names, reading.positions.tolist(), strict=True))
+            velocities = dict(zip(names, reading.velocities.tolist(), strict=True))
+        self._control.command(command, now_ns, positions, velocities)
+
+    def stop(self, bullet: Bullet, now_ns: int) -> None:
+        """Lets what moves stand still where it is."""
+        if self._control.names:
+            self.command(bullet, JointTrajectory((), ()), now_ns)
+
+    def actuate(self, bullet: Bullet, now_ns: int, dt: float) -> None:
+        """Sets the motors for the step that begins at ``now_ns`` and lasts ``dt`` seconds."""
+        names = self._control.active
+        if not names:
+            return
+        bullet.wake(self._body)
+        positions = dict(zip(names, bullet.joint_angles(self._body, self._indices(names)), strict=True))
+        targets = self._control.step(now_ns, round(dt * NS_PER_S), positions)
+        if targets.speeds:
+            efforts = [targets.efforts.get(name, self._efforts[name]) for name in targets.speeds]
+            bullet.drive_joints(self._body, self._indices(targets.speeds), list(targets.speeds.values()), efforts)
+        if targets.held:
+            self.hold(bullet, targets.held)
+
+    def hold(self, bullet: Bullet, positions: dict[str, float]) -> None:
+        """Lets motors hold joints at positions, radians or metres."""
+        efforts = [self._efforts[name] for name in positions]
+        bullet.hold_joints(self._body, self._indices(positions), list(positions.values()), efforts)
+
+    def _indices(self, names: Iterable[str]) -> list[int]:
+        return [self._body.joint_indices[name] for name in names]
+
+
+def has_motor(joint: UrdfJoint) -> bool:
+    """Returns whether a joint obeys commands: a continuous one that the URDF gives neither effort nor speed is a caster."""
+    return joint.kind in ("revolute", "prismatic") or (joint.kind == "continuous" and max(joint.effort, joint.velocity) > 0.0)

@@ -1,0 +1,244 @@
+"""Where the end of a chain of joints is, and which joints bring it where it shall be. Pure arithmetic; nothing moves in the engine.
+
+Not PyBullet's solver: with limits and a rest pose it misses most poses that an arm of seven joints reaches, because both only pull at
+its solution. Here limits are walls, and the rest pose uses only what the task leaves free.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import CommandError
+from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
+from gibson_sim.robots.urdf import UrdfJoint, UrdfModel
+
+F64 = NDArray[np.float64]
+_RESTARTS = 24
+"""Places from which it is tried anew where the first try ends in a dead end."""
+_ITERATIONS = 80
+"""Of one try."""
+_POLISHING = 20
+"""The last of them, which heed the target alone."""
+_EXACT = 1e-7
+"""Metres and radians that need no improvement."""
+_SETTLED = 1e-4
+"""Change in an iteration, radians and metres, below which the rest pose has had its way."""
+_REST_GAIN = 0.3
+"""Part of the way to the rest pose that an iteration goes, as far as the target allows."""
+_REST_DAMPING = 1e-2
+"""Keeps joints from going far for a wish that they hardly serve."""
+_DEAD_END = 0.98
+"""A try whose error was no smaller than so much of it ten iterations ago is given up."""
+_DAMPING = 0.05
+"""Of the least squares, for the square of each metre of error: calm near a stretched arm, quick near the target."""
+_FAR = 0.3
+"""Metres above which more error damps no more."""
+_ARM = 0.5
+"""Metres that a radian counts as much as."""
+_LONGEST = 0.5
+"""Radians or metres that a joint moves in an iteration."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChainSolution:
+    """Joints that bring the end of a chain as near to a target as was found, and how near."""
+
+    names: tuple[str, ...]
+    """Moving joints of the chain, the root's first."""
+    positions: tuple[float, ...]
+    """Radians or metres, within the limits."""
+    position_error: float
+    """Metres between the target and where they bring the end."""
+    angle_error: float
+    """Radians between the two; 0 where no orientation was asked for."""
+
+    def within(self, position_error: float, angle_error: float) -> bool:
+        """Returns whether both errors are at most so large, metres and radians."""
+        return self.position_error <= position_error and self.angle_error <= angle_error
+
+
+class Chain:
+    """The joints between the root of a model and one of its links."""
+
+    def __init__(self, model: UrdfModel, tip: str, joints: Sequence[str] | None = None) -> None:
+        """Finds the chain.
+
+        Args:
+            model: The tree of links.
+            tip: Link at its end.
+            joints: Those that may move; None = all of the chain that move at all. The others stay where they are.
+
+        Raises:
+            CommandError: there is no such link, no joint moves it, or a joint is not of the chain.
+        """
+        above = {joint.child: joint for joint in model.joints}
+        if tip not in {link.name for link in model.links}:
+            raise CommandError(f"no link {tip!r}; known: {', '.join(link.name for link in model.links)}")
+        path: list[UrdfJoint] = []
+        link = tip
+        while link in above:
+            path.insert(0, above[link])
+            link = above[link].parent
+        moving = [joint.name for joint in path if joint.kind != "fixed"]
+        if not moving:
+            raise CommandError(f"no joint moves link {tip!r}; choose a link at the end of an arm")
+        for name in joints or ():
+            if name not in moving:
+                raise CommandError(f"joint {name!r} does not move link {tip!r}; these do: {', '.join(moving)}")
+        self._path = [(joint, matrix_from_pose(joint.pose), np.array(joint.axis) / math.hypot(*joint.axis)) for joint in path]
+        self.names = tuple(name for name in moving if joints is None or name in joints)
+        """The joints that may move, the root's first."""
+        limits = {joint.name: _limits(joint) for joint in path}
+        self._lower = np.array([limits[name][0] for name in self.names])
+        self._upper = np.array([limits[name][1] for name in self.names])
+
+    def pose(self, positions: Mapping[str, float]) -> Mat4:
+        """Returns T_root_tip, (4, 4); joints that are not named are at 0."""
+        return self._forward(positions)[0]
+
+    def solve(
+        self,
+        target: Mat4,
+        start: Mapping[str, float],
+        *,
+        rest: Mapping[str, float] | None = None,
+        orientation: bool = True,
+    ) -> ChainSolution:
+        """Returns the joints that bring the tip to a target; equal questions have equal answers, to the bit.
+
+        Args:
+            target: T_root_tip, (4, 4).
+            start: Where joints are now: the search begins there, and ends near there if it can; those not named are at 0.
+            rest: Where joints shall be as far as the target leaves them free; those not named have no wish, None = none has.
+            orientation: Whether it counts; False = the tip's origin alone shall be there.
+        """
+        now = np.clip(np.array([start.get(name, 0.0) for name in self.names]), self._lower, self._upper)
+        wish = np.array([(rest or {}).get(name, np.nan) for name in self.names])
+        rng = np.random.default_rng(0)
+        low, high = np.maximum(self._lower, -math.pi), np.minimum(self._upper, math.pi)
+        best, least = now, math.inf
+        for attempt in range(1 + _RESTARTS):
+            begin = now if attempt == 0 else np.clip(rng.uniform(low, np.maximum(low, high)), self._lower, self._upper)
+            found = self._descend(target, begin, start, wish, orientation)
+            size = float(np.linalg.norm(self._error(target, found, start, orientation)[0]))
+            if size < least:
+                best, least = found, size
+            if least < 10 * _EXACT:
+                break
+        error, _ = self._error(target, best, start, orientation)
+        positions = tuple(best.tolist())
+        return ChainSolution(self.names, positions, float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])) / _ARM)
+
+    def _descend(self, target: Mat4, begin: F64, others: Mapping[str, float], wish: F64, orientation: bool) -> F64:
+        """Goes downhill from ``begin``: damped least squares among the joints that no limit stops."""
+        q, before = begin, math.inf
+        for iteration in range(_ITERATIONS):
+            error, jacobian = self._error(target, q, others, orientation)
+            size = float(np.linalg.norm(error))
+            resting = iteration < _ITERATIONS - _POLISHING and not bool(np.isnan(wish).all())
+            if size < _EXACT and not resting:
+                break
+            if iteration % 10 == 9:
+                if size > max(_DEAD_END * before, 10 * _EXACT):
+                    break
+                before = size
+            step = self._step(q, error, jacobian, wish if resting else None)
+            step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-30))
+            after: F64 = np.clip(q + step, self._lower, self._upper)
+            moved = float(np.abs(after - q).max())
+            q = after
+            if size < _EXACT and moved < _SETTLED:
+                break
+        return q
+
+    def _step(self, q: F64, error: F64, jacobian: F64, wish: F64 | None) -> F64:
+        """Returns by how much the joints move; those that a limit stops are taken out until none is left that would pass it."""
+        free = np.ones(len(q), dtype=bool)
+        step = np.zeros(len(q))
+        damping = 1e-12 + _DAMPING * min(float(error @ error), _FAR**2)
+        for _ in range(len(q)):
+            part = jacobian[:, free]
+            step = np.zeros(len(q))
+            step[free] = part.T @ np.linalg.solve(part @ part.T + damping * np.eye(len(error)), error)
+            if wish is not None:
+                step[free] += _REST_GAIN * _self_motion(part, (wish - q)[free])
+            stopped = free & (((q <= self._lower) & (step < 0.0)) | ((q >= self._upper) & (step > 0.0)))
+            if not stopped.any() or stopped.sum() == free.sum():
+                break
+            free &= ~stopped
+        return step
+
+    def _error(self, target: Mat4, q: F64, others: Mapping[str, float], orientation: bool) -> tuple[F64, F64]:
+        """Returns the way from the tip to its target, metres (the turn times ``_ARM``), (6,) or (3,), and its Jacobian by the joints."""
+        T_root_tip, axes = self._forward({**others, **dict(zip(self.names, q.tolist(), strict=True))})
+        tip = T_root_tip[:3, 3]
+        rows = 6 if orientation else 3
+        error, jacobian = np.zeros(rows), np.zeros((rows, len(self.names)))
+        error[:3] = target[:3, 3] - tip
+        if orientation:
+            error[3:] = _ARM * _rotation_vector(target[:3, :3] @ T_root_tip[:3, :3].T)
+        for column, name in enumerate(self.names):
+            axis, origin, slides = axes[name]
+            jacobian[:3, column] = axis if slides else np.cross(axis, tip - origin)
+            if orientation and not slides:
+                jacobian[3:, column] = _ARM * axis
+        return error, jacobian
+
+    def _forward(self, positions: Mapping[str, float]) -> tuple[Mat4, dict[str, tuple[F64, F64, bool]]]:
+        """Returns T_root_tip, and of every joint that moves its axis and origin in the root's frame, and whether it slides."""
+        T: Mat4 = np.eye(4)
+        axes: dict[str, tuple[F64, F64, bool]] = {}
+        for joint, T_parent_joint, axis in self._path:
+            T = T @ T_parent_joint
+            if joint.kind == "fixed":
+                continue
+            slides = joint.kind == "prismatic"
+            axes[joint.name] = T[:3, :3] @ axis, T[:3, 3], slides
+            T = T @ _motion(axis, positions.get(joint.name, 0.0), slides)
+        return T, axes
+
+
+def _self_motion(jacobian: F64, wanted: F64) -> F64:
+    """Returns the motion of the joints, (J,), that leaves the tip where it is and comes nearest to ``wanted``, (J,); NaN = no wish."""
+    _, sizes, rows = np.linalg.svd(jacobian)
+    free: F64 = rows[int((sizes > 1e-6).sum()) :]
+    wishes = ~np.isnan(wanted)
+    part = free[:, wishes]
+    amounts = np.linalg.solve(part @ part.T + _REST_DAMPING * np.eye(len(free)), part @ wanted[wishes])
+    return np.asarray(amounts @ free)
+
+
+def _limits(joint: UrdfJoint) -> tuple[float, float]:
+    bounded = joint.kind != "continuous" and joint.lower <= joint.upper
+    return (joint.lower, joint.upper) if bounded else (-math.inf, math.inf)
+
+
+def _motion(axis: F64, position: float, slides: bool) -> Mat4:
+    """Returns how a joint at ``position`` moves what is below it, (4, 4)."""
+    out: Mat4 = np.eye(4)
+    if slides:
+        out[:3, 3] = axis * position
+        return out
+    x, y, z = axis.tolist()
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    out[:3, :3] += math.sin(position) * cross + (1.0 - math.cos(position)) * (cross @ cross)
+    return out
+
+
+def _rotation_vector(rotation: F64) -> F64:
+    """Returns axis times angle, (3,), radians, of a rotation matrix."""
+    twice = np.array([rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]])
+    sine, cosine = float(np.linalg.norm(twice)) / 2.0, (float(np.trace(rotation)) - 1.0) / 2.0
+    angle = math.atan2(sine, cosine)
+    if sine > 1e-6:
+        return twice * (angle / (2.0 * sine))
+    if cosine > 0.0:
+        return twice / 2.0
+    # Half a turn: the axis is a column of R + 1.
+    column = (rotation + np.eye(3))[:, int(np.argmax(np.diag(rotation)))]
+    return np.asarray(column / np.linalg.norm(column) * angle)

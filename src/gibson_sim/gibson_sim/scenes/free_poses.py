@@ -1,0 +1,95 @@
+"""Free poses that a scene carries, in ``free_poses.csv``: places where a robot touches nothing, for tasks and tests. Pure but for the file."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gibson_sim.errors import SceneError
+from gibson_sim.geometry.transforms import pose_from_xyz_rpy
+from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.types import Pose
+
+FREE_POSES = "free_poses.csv"
+COLUMNS = ("floor", "x", "y", "z", "yaw", "room")
+_MOST_BYTES = 16_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class FreePose:
+    """A place on a floor where a robot touches nothing but the floor."""
+
+    floor: int
+    """Number of its floor, 0 = the lowest."""
+    x: float
+    """World metres."""
+    y: float
+    z: float
+    """Height of what the robot stands on, metres."""
+    yaw: float
+    """Radians."""
+    room: str = ""
+    """Name of its room; empty = the scene names none there."""
+
+    @property
+    def pose(self) -> Pose:
+        """T_world_base."""
+        return pose_from_xyz_rpy((self.x, self.y, self.z), (0.0, 0.0, self.yaw))
+
+
+def scene_free_poses(scene: SceneSpec) -> tuple[FreePose, ...]:
+    """Returns the free poses that a scene carries in its folder; none where it has no such file.
+
+    Raises:
+        SceneError: the file is broken.
+    """
+    path = scene.root / FREE_POSES
+    return read_free_poses(path) if path.is_file() else ()
+
+
+def read_free_poses(path: Path) -> tuple[FreePose, ...]:
+    """Returns the poses in a file, in its order.
+
+    Raises:
+        SceneError: it cannot be read, or a line of it is wrong.
+    """
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise SceneError(f"{path}: has {path.stat().st_size} bytes, must be at most {_MOST_BYTES}")
+        rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise SceneError(f"{path}: cannot be read: {error}; write it anew with gibson-sim scene map SCENE --write") from error
+    if not rows or tuple(rows[0]) != COLUMNS:
+        raise SceneError(f"{path}: begins with {','.join(rows[0]) if rows else 'nothing'!r}, must begin with {','.join(COLUMNS)}")
+    return tuple(_row(row, f"{path}: line {number}") for number, row in enumerate(rows[1:], 2))
+
+
+def write_free_poses(path: Path, poses: Iterable[FreePose]) -> None:
+    """Writes a file of free poses: millimetres, and a ten-thousandth of a radian.
+
+    Raises:
+        SceneError: it cannot be written.
+    """
+    try:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(COLUMNS)
+            for p in poses:
+                writer.writerow((p.floor, f"{p.x:.3f}", f"{p.y:.3f}", f"{p.z:.4f}", f"{p.yaw:.4f}", p.room))
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _row(row: Sequence[str], where: str) -> FreePose:
+    if len(row) != len(COLUMNS):
+        raise SceneError(f"{where}: has {len(row)} values, must have {len(COLUMNS)}: {','.join(COLUMNS)}")
+    try:
+        floor, (x, y, z, yaw) = int(row[0]), (float(text) for text in row[1:5])
+    except ValueError as error:
+        raise SceneError(f"{where}: {error}; floor must be a whole number, x, y, z in metres and yaw in radians") from error
+    if floor < 0 or not all(map(math.isfinite, (x, y, z, yaw))):
+        raise SceneError(f"{where}: is {','.join(row)}; floor must be 0 or more, the others finite numbers")
+    return FreePose(floor, x, y, z, yaw, row[5])

@@ -1,0 +1,102 @@
+"""Rooms that a scene names: what they are called, what they are for, where they lie. Pure values; ``scenes.rooms`` finds rooms in a map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gibson_sim.errors import SceneError
+
+Bools = NDArray[np.bool_]
+F64 = NDArray[np.float64]
+MOST_CORNERS = 1000
+"""Of a room."""
+_SMALLEST_AREA = 0.01
+"""Square metres of a room."""
+
+
+@dataclass(frozen=True, slots=True)
+class RoomSpec:
+    """A room of a building.
+
+    Raises:
+        SceneError: its outline is none, or crosses itself.
+    """
+
+    name: str
+    room_class: str
+    """What it is for: ``kitchen``, ``bedroom``, ``corridor``, ..."""
+    floor: int
+    """Number of its floor, 0 = the lowest: an index of ``SceneSpec.floors``."""
+    polygon: tuple[tuple[float, float], ...]
+    """Its corners in order, either way round, world metres."""
+
+    def __post_init__(self) -> None:
+        count = len(self.polygon)
+        if not 3 <= count <= MOST_CORNERS:
+            raise SceneError(f"room {self.name!r}: polygon has {count} corners, must have 3 to {MOST_CORNERS}")
+        if self.area < _SMALLEST_AREA:
+            raise SceneError(
+                f"room {self.name!r}: polygon encloses {self.area:g} m^2, must be at least {_SMALLEST_AREA} m^2; give its corners in order"
+            )
+        crossing = _crossing_edges(_corners(self))
+        if crossing is not None:
+            first, second = ((edge, (edge + 1) % count) for edge in crossing)
+            raise SceneError(
+                f"room {self.name!r}: the edge between corners {first[0]} and {first[1]} of its polygon meets the one between "
+                f"{second[0]} and {second[1]}; give its corners in order"
+            )
+
+    @property
+    def area(self) -> float:
+        """Square metres (shoelace formula)."""
+        x, y = _corners(self).T
+        return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
+
+    def contains(self, xy: ArrayLike) -> Bools:
+        """Returns (...,): which of the points (..., 2), world metres, lie in the room.
+
+        Of two rooms with a common edge, just one has the points on it.
+        """
+        x, y = np.moveaxis(np.asarray(xy, dtype=np.float64), -1, 0)
+        inside = np.zeros(np.shape(x), dtype=bool)
+        corners = _corners(self)
+        for (x0, y0), (x1, y1) in zip(corners.tolist(), np.roll(corners, -1, axis=0).tolist(), strict=True):
+            if y0 != y1:
+                inside ^= ((y0 > y) != (y1 > y)) & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
+        return np.asarray(inside)
+
+
+def room_at(rooms: Iterable[RoomSpec], x: float, y: float, floor: int) -> RoomSpec | None:
+    """Returns the first room of a floor that a place, world metres, lies in; None = none of them."""
+    return next((room for room in rooms if room.floor == floor and bool(room.contains((x, y)))), None)
+
+
+def _corners(room: RoomSpec) -> F64:
+    """Returns (K, 2)."""
+    return np.asarray(room.polygon, dtype=np.float64)
+
+
+def _crossing_edges(corners: F64) -> tuple[int, int] | None:
+    """Returns two edges of an outline (K, 2) that meet although they are not neighbours, by their first corners; None = there are none."""
+    a, b = corners, np.roll(corners, -1, axis=0)
+    count = len(corners)
+    for first in range(count - 2):
+        others = np.arange(first + 2, count - (first == 0))
+        c, d = a[others], b[others]
+        start, end = a[first], b[first]
+        apart = (_side(start, end, c) * _side(start, end, d) > 0) | (_side(c, d, start) * _side(c, d, end) > 0)
+        beside = (np.maximum(c, d) < np.minimum(start, end)).any(axis=1) | (np.minimum(c, d) > np.maximum(start, end)).any(axis=1)
+        meet = np.flatnonzero(~apart & ~beside)
+        if len(meet):
+            return first, int(others[meet[0]])
+    return None
+
+
+def _side(a: F64, b: F64, point: F64) -> F64:
+    """Returns on which side of the line from a to b a point lies: left > 0; broadcasts over (..., 2)."""
+    along, to = b - a, point - a
+    return np.asarray(along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0])
