@@ -26,7 +26,7 @@ from gibson_sim.making.building import MATERIALS, Body, Building, Lamp, Opening,
 from gibson_sim.making.building_file import QUALITIES, Quality, read_plan, write_plan
 from gibson_sim.making.catalogue import CATALOGUE
 from gibson_sim.making.glb import Paint, Patch, write_glb
-from gibson_sim.making.pixels import doubled, exposure_of, filled, hidden, toned
+from gibson_sim.making.pixels import doubled, exposure_of, filled, hidden, mirrored, toned
 from gibson_sim.making.planning.planner import plan_building
 from gibson_sim.making.scene_folder import calm_small_charts, put_mirror, write_scene_folder
 from gibson_sim.making.surroundings import write_surroundings
@@ -165,8 +165,23 @@ def test_what_lies_within_something_else_is_found_and_single_dark_pixels_are_lef
     covered = np.ones((8, 12), dtype=bool)
     covered[0] = False
     expected = np.zeros((8, 12), dtype=bool)
-    expected[1:, 4] = expected[6, 8:11] = True
+    expected[1:, 3:6] = expected[6, 7:12] = expected[5, 8:11] = expected[7, 8:11] = True
     assert np.array_equal(hidden(openness, covered), expected)
+
+
+def test_gaps_show_their_surroundings_mirrored_at_their_edges() -> None:
+    image = np.arange(20, dtype=np.float32)[None, :, None].repeat(3, axis=0)
+    covered = np.ones((3, 20), dtype=bool)
+    covered[:, 8:12] = False
+    result = mirrored(image, covered)[1, :, 0]
+    assert result[:8].tolist() == image[1, :8, 0].tolist()
+    assert result[8:12].tolist() == [6.0, 5.0, 14.0, 13.0]
+
+
+def test_a_gap_without_anything_near_is_filled() -> None:
+    image, covered = np.full((64, 64, 1), 3.0, dtype=np.float32), np.zeros((64, 64), dtype=bool)
+    covered[:4, :4] = True
+    assert mirrored(image * covered[..., None], covered)[60, 60, 0] == pytest.approx(3.0)
 
 
 def test_what_is_baked_on_an_upper_floor_is_not_covered_by_the_lid_of_the_lower() -> None:
@@ -252,6 +267,11 @@ def test_a_baked_building_becomes_a_scene_that_loads(tmp_path: Path) -> None:
     assert {"wall", "floor", "ceiling", "table", "lamp", "window", "door_frame"} == {v.semantic_class for v in scene.visuals}
     assert "lid_0" not in {v.name for v in scene.visuals}
     assert scene.ground_z == 0.0 and [s.name for s in scene.starts] == ["door"]
+    assert [(room.name, room.room_class, room.area) for room in scene.rooms] == [
+        ("living", "living_room", 7.5),
+        ("bath", "bathroom", 5.0),
+    ]
+    assert scene.room_at(4.0, 1.0) == scene.rooms[1]
     assert "CC0" in (tmp_path / "scene" / "LICENSE").read_text()
     data = (tmp_path / "scene" / "assets" / "wall_0.glb").read_bytes()
     document = json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])

@@ -14,6 +14,7 @@ _BALANCE = 0.6
 """Part of the tint of all light that is taken out."""
 _SHUT = 1e-6
 _RUN = 3
+_REACH = 16
 """Pixels."""
 _SHOULDER = 4.2
 """Linear brightness that becomes white."""
@@ -41,17 +42,63 @@ def filled(image: F32, covered: NDArray[np.bool_]) -> F32:
     return np.asarray(result, dtype=np.float32)
 
 
+def mirrored(image: F32, covered: NDArray[np.bool_]) -> F32:
+    """Returns an image (H, W, C) whose gaps show what lies beside them, mirrored at their edges.
+
+    A gap then is as noisy as its surroundings, and who takes out the noise sees no edge there. What is far from everything is ``filled``.
+    """
+    rows, columns, found = _nearest(covered)
+    height, width = covered.shape
+    y, x = np.mgrid[:height, :width]
+    across_y, across_x = np.clip(2 * rows - y, 0, height - 1), np.clip(2 * columns - x, 0, width - 1)
+    there = covered[across_y, across_x]
+    shown = image[np.where(there, across_y, rows), np.where(there, across_x, columns)]
+    result = np.where(covered[..., None], image, np.where(found[..., None], shown, filled(image, covered)))
+    return np.asarray(result, dtype=np.float32)
+
+
+def _nearest(covered: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_]]:
+    """Returns row and column of a covered pixel near each pixel, and whether there is one within about ``_REACH``, by jump flooding.
+
+    Rong, Tan, "Jump Flooding in GPU with Applications to Voronoi Diagram and Distance Transform", I3D 2006.
+    """
+    y, x = np.mgrid[: covered.shape[0], : covered.shape[1]].astype(np.int32)
+    rows, columns, found = y.copy(), x.copy(), covered.copy()
+    step = min(_REACH, *(n - 1 for n in covered.shape))
+    while step:
+        for j, i in ((j, i) for j in (-step, 0, step) for i in (-step, 0, step) if j or i):
+            here, there = _overlap(j, i, covered.shape)
+            r, c, known = rows[there], columns[there], found[there]
+            off = (r - y[here]) ** 2 + (c - x[here]) ** 2
+            own = (rows[here] - y[here]) ** 2 + (columns[here] - x[here]) ** 2
+            better = known & (~found[here] | (off < own))
+            rows[here] = np.where(better, r, rows[here])
+            columns[here] = np.where(better, c, columns[here])
+            found[here] |= better
+        step //= 2
+    return rows, columns, found
+
+
+def _overlap(j: int, i: int, shape: tuple[int, ...]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Returns the pixels that have a neighbour ``j`` rows and ``i`` columns away, and these neighbours."""
+    pairs = [(slice(max(-k, 0), n - max(k, 0)), slice(max(k, 0), n - max(-k, 0))) for k, n in ((j, shape[0]), (i, shape[1]))]
+    return (pairs[0][0], pairs[1][0]), (pairs[0][1], pairs[1][1])
+
+
 def hidden(openness: F32, covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Returns what lies within something else, as a wall does behind its skirting, (H, W).
 
-    That is where runs of pixels are open nowhere. In corners, too, some are by chance, but seldom three in a row.
+    That is where runs of pixels are open nowhere, and the pixels beside these, which are hidden in part. In corners, too, some are by chance,
+    but seldom three in a row.
 
     Args:
         openness: (H, W): part of the directions in which nothing is near, with its noise.
         covered: (H, W): where there is a surface.
     """
     shut = covered & (openness <= _SHUT)
-    return np.asarray((_opened(shut, 0) | _opened(shut, 1)) & shut)
+    runs = np.pad(_opened(shut, 0) | _opened(shut, 1), 1)
+    beside = runs[:-2, 1:-1] | runs[2:, 1:-1] | runs[1:-1, :-2] | runs[1:-1, 2:]
+    return np.asarray((runs[1:-1, 1:-1] | beside) & covered)
 
 
 def _opened(mask: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:

@@ -20,7 +20,7 @@ from gibson_sim.making.blender.bake import Stage
 from gibson_sim.making.blender.denoise import denoised
 from gibson_sim.making.blender.mirrors import mirrors_of, reflection
 from gibson_sim.making.building_file import Quality, read_plan
-from gibson_sim.making.pixels import filled, hidden
+from gibson_sim.making.pixels import hidden, mirrored
 
 _COLOR_COST = 4.0
 """Samples of light that take as long as the colours."""
@@ -60,7 +60,7 @@ def _make(plan: Path, work: Path) -> None:
 
 def _bake_all(stage: Stage, quality: Quality, wanted: list[tuple[int, str]], work: Path) -> None:
     # The last atlas has the smallest charts, in which the denoiser has least to go by.
-    factors = np.linspace(1.0, 3.0, quality.atlases) if quality.atlases > 1 else np.ones(1)
+    factors = np.linspace(1.0, 2.0, quality.atlases) if quality.atlases > 1 else np.ones(1)
     costs = [_COLOR_COST if what == "color" else quality.samples * factors[k] for k, what in wanted]
     done = 0.0
     for (atlas, what), cost in zip(wanted, costs, strict=True):
@@ -71,7 +71,7 @@ def _bake_all(stage: Stage, quality: Quality, wanted: list[tuple[int, str]], wor
         if what == "light":
             # What lies within something else is dark, which must not bleed onto what is seen beside it.
             covered &= ~hidden(stage.openness(atlas, size_px // 2), covered)
-            image[..., :3] = denoised(filled(image[..., :3], covered))
+            image[..., :3] = denoised(mirrored(image[..., :3], covered))
         part = work / f"{what}_{atlas}.part.npy"
         np.save(part, np.concatenate([image[..., :3], covered[..., None]], axis=-1).astype(np.float16))
         os.replace(part, work / f"{what}_{atlas}.npy")
