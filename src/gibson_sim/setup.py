@@ -52,10 +52,12 @@ setup(
         "cuda": ["cuda-bindings>=12.6"],
         "torch": ["torch>=2.3"],
         "lerobot": ["pyarrow>=15"],
+        "gym": ["gymnasium>=1.0"],
         "analysis": ["matplotlib>=3.8"],
         "authoring": ["bpy"],
         "collision": ["coacd>=1.0.7"],
         "usd": ["usd-core>=24.8"],
+        "xacro": ["xacro>=2.0"],
         "scanning": ["open3d-cpu>=0.19; platform_machine == 'x86_64'", "open3d>=0.19; platform_machine != 'x86_64'"],
     },
     data_files=[
@@ -75,6 +77,7 @@ setup(
             "record_node = gibson_sim.ros.record_node:main",
             "snapshot_node = gibson_sim.ros.snapshot_node:main",
             "replay_node = gibson_sim.ros.replay_node:main",
-        ]
+            "task_node = gibson_sim.ros.task_node:main",
+        ],
     },
 )

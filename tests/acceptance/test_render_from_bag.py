@@ -22,7 +22,7 @@ from gibson_sim.bags.export.run import export_bag  # noqa: E402
 from gibson_sim.bags.reader import BagReader, header_stamp_ns, image_to_array  # noqa: E402
 from gibson_sim.bags.writer import BagWriter, TopicQos  # noqa: E402
 from gibson_sim.config import RenderBagConfig, RenderConfig  # noqa: E402
-from gibson_sim.errors import SceneNotFoundError  # noqa: E402
+from gibson_sim.errors import ConfigError, SceneNotFoundError  # noqa: E402
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy  # noqa: E402
 from gibson_sim.render.renderer import Renderer  # noqa: E402
 from gibson_sim.robots.spec import Shape, VisualSpec  # noqa: E402
@@ -220,3 +220,43 @@ def test_bytes_of_an_image_are_those_of_its_message(make: Callable[[], Any], enc
         message = conversions.image_to_msg(make(), encoding, 5_000_000_007, frame_id)
         # Not the bytes themselves: DDS leaves what lies between two numbers as it was.
         assert deserialize_message(image_to_bytes(make(), encoding, 5_000_000_007, frame_id), Image) == message
+
+
+@pytest.fixture(scope="module")
+def viewed(drive: Path) -> Path:
+    """Returns the bag drawn with its own camera and with views."""
+    folder = drive.parent / "viewed"
+    job = RenderBagConfig(bag=str(drive), output=str(folder), views="follow,top", view_size="48x32", view_rate=20.0)
+    render_bag(job, RENDER)
+    return folder
+
+
+def test_a_view_is_drawn_where_tf_says_beside_the_cameras_of_the_run(viewed: Path, drawn: tuple[Path, Path]) -> None:
+    own = [bytes(image.data) for image in _messages(viewed, "/own/image_raw")]
+    assert own == [bytes(image.data) for image in _messages(drawn[0], "/own/image_raw")], (
+        "the robot sees what it saw without views"
+    )
+    where = {
+        (header_stamp_ns(transform.header.stamp), transform.child_frame_id): transform.transform.translation
+        for message in _messages(viewed, "/tf")
+        for transform in message.transforms
+    }
+    scenes = {message.revision: conversions.scene_from_msg(message) for message in _messages(viewed, "/scene")}
+    states = {header_stamp_ns(message.header.stamp): message for message in _messages(viewed, "/scene_state")}
+    images = _messages(viewed, "/view_follow/image_raw")
+    assert [header_stamp_ns(image.header.stamp) for image in images] == [tick * 10**9 // 60 for tick in (3, 6, 9, 12)]
+    for image in images:
+        message = states[header_stamp_ns(image.header.stamp)]
+        state = conversions.scene_state_from_msg(message, scenes[message.revision].links)
+        row = state.links.index("view_follow")
+        place = where[header_stamp_ns(image.header.stamp), image.header.frame_id]
+        assert (place.x, place.y, place.z) == tuple(state.positions[row])
+        assert np.linalg.norm(state.positions[row][:2] - state.positions[0][:2]) == pytest.approx(1.8)
+    with Renderer(scenes[2]) as renderer:
+        (frame,) = renderer.render(state, [camera for camera in scenes[2].cameras if camera.name == "view_follow"])
+    assert frame.rgb is not None and bytes(images[-1].data) == frame.rgb.tobytes()
+
+
+def test_a_view_that_the_bag_has_already_is_refused(viewed: Path) -> None:
+    with pytest.raises(ConfigError, match="'view_top': the scene has a camera of this name already"):
+        render_bag(RenderBagConfig(bag=str(viewed), output=str(viewed.parent / "again"), views="top"), RENDER)

@@ -120,6 +120,16 @@ def test_another_start_is_the_same_run_also_on_a_busy_machine(first: list[Digest
     assert _differing(first[0], again) == []
 
 
+def test_a_pipeline_repeats_its_runs_too_and_they_are_other_ones(first: list[Digests], robot: Path) -> None:
+    one, after_reset = _run(robot, "--pipelined", resets=1)
+    with busy_machine():
+        (again,) = _run(robot, "--pipelined")
+    assert _differing(one, after_reset) == []
+    assert _differing(one, again) == []
+    assert one.keys() == first[0].keys()
+    assert _differing(one, first[0]), "a command takes effect one tick later"
+
+
 def test_without_lockstep_the_run_is_another_one(first: list[Digests], robot: Path) -> None:
     """Shows that the digests of this file can differ: the controller's answers arrive when they arrive."""
     with busy_machine():

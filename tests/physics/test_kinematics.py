@@ -179,8 +179,10 @@ def test_world_solves_for_where_a_body_stands_and_its_arm_goes_there(model: Urdf
         (lambda model: Chain(model, "foot"), "no link 'foot'; known: base, "),
         (lambda model: Chain(model, "base"), "no joint moves link 'base'"),
         (lambda model: Chain(model, "hand", ("roll",)), "joint 'roll' does not move link 'hand'; these do: lift, "),
+        (lambda model: Chain(model, "hand", ()), "no joint of the chain to link 'hand' may move; name at least one of lift, "),
+        (lambda model: Chain(model, "hand").solve(np.full((4, 4), math.nan), {}), "has a number that is not finite"),
     ],
 )
-def test_impossible_chains_are_refused(model: UrdfModel, ask: Callable[[UrdfModel], Chain], words: str) -> None:
+def test_impossible_chains_are_refused(model: UrdfModel, ask: Callable[[UrdfModel], object], words: str) -> None:
     with pytest.raises(CommandError, match=words):
         ask(model)

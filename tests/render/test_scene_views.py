@@ -7,11 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.cli.main import main
 from gibson_sim.importing import views as module
-from gibson_sim.importing.views import contact_sheet, free_places
+from gibson_sim.importing.views import contact_sheet, free_places, gallery_of_scenes
 from gibson_sim.scenes.floor_map import scene_floor_map
 from gibson_sim.scenes.load import load_scene
 from support.scenes import write_room
+
+CRATE = """<robot name="crate"><link name="crate">
+<visual><geometry><box size="1 1 1"/></geometry><material name="green"><color rgba="0 1 0 1"/></material></visual>
+<collision><geometry><box size="1 1 1"/></geometry></collision>
+<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"""
 
 pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
 
@@ -24,11 +30,18 @@ def test_a_sheet_has_views_a_cut_from_above_and_the_map(tmp_path: Path, monkeypa
     # A red roof, which the picture from above must not show.
     roof = "  - {name: roof, box: [4.0, 4.0, 0.1], pose: {xyz: [0, 0, 2.5]}, color: [1.0, 0.0, 0.0]}\n"
     floor = "  - {name: floor, box: [4.0, 4.0, 0.1], pose: {xyz: [0, 0, -0.05]}, color: [0.0, 0.0, 1.0]}\n"
-    sheet = contact_sheet(load_scene(write_room(tmp_path / "room", roof + floor)), 1)
+    # Bodies are drawn where they start.
+    bodies = "bodies: [{name: crate, model: ./crate.urdf, pose: {xyz: [1.2, 1.2, 0.5]}}]\n"
+    folder = write_room(tmp_path / "room", roof + floor + bodies)
+    (folder / "crate.urdf").write_text(CRATE)
+    sheet = contact_sheet(load_scene(folder), 1)
     views = [sheet[6 : 6 + height, left : left + width] for left in (6, 12 + width, 18 + 2 * width)]
     assert views[0].std() > 10
     middle = views[1][height // 2, width // 2].astype(int)
     assert middle[2] > middle[0] + 50
+    greenest = views[1].astype(int)[..., 1] - views[1].max(axis=2, initial=0, where=[True, False, True])
+    row, column = np.unravel_index(int(greenest.argmax()), greenest.shape)
+    assert greenest.max() > 50 and row < height // 2 and column > width // 2
     # Walls dark, floor white.
     assert {tuple(c) for c in np.unique(views[2].reshape(-1, 3), axis=0).tolist()} >= {(255, 255, 255), (40, 40, 40)}
 
@@ -40,3 +53,18 @@ def test_places_of_views_are_free_and_far_apart(tmp_path: Path) -> None:
     assert (floor.clearance(places) > 0.2).all()
     apart = np.linalg.norm(places[:4, None] - places[None, :4], axis=2) + 9 * np.eye(4)
     assert apart.min() > 1.0
+
+
+def test_several_scenes_have_a_row_each(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    for name, value in (("WIDTH", 160), ("HEIGHT", 120), ("_PLACES", 3)):
+        monkeypatch.setattr(module, name, value)
+    picture = gallery_of_scenes([load_scene(write_room(tmp_path / name)) for name in ("a", "b")], 2)
+    assert picture.shape[:2] == (2 * (120 + 28) + 6, 2 * (160 + 6) + 6)
+
+
+def test_a_floor_is_for_one_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rooms = [str(write_room(tmp_path / name)) for name in ("a", "b")]
+    with pytest.raises(SystemExit):
+        main(["scene", "view", *rooms, "--floor", "0"])
+    assert "--floor is for one scene" in capsys.readouterr().err

@@ -98,6 +98,18 @@ def test_a_node_that_knows_nothing_of_lockstep_takes_part_by_its_commands(
     assert found["commands"] == 59
 
 
+@pytest.mark.parametrize(("options", "later"), [((), 0), (("--pipelined",), 1)])
+def test_a_command_takes_effect_in_the_next_tick_or_with_a_pipeline_in_the_one_after_it(
+    start: Callable[..., Launched], listener: Listener, tmp_path: Path, options: tuple[str, ...], later: int
+) -> None:
+    bag = tmp_path / "bag"
+    launched = start("--no-render", "--participants", NAME, "--duration", "1", "--record", str(bag), *options)
+    Controller(listener)
+    assert _ended(launched, listener) == 0
+    assert _steps_in_bag(bag, "/odom") == list(range(STEPS_A_TICK, 240 + 1, STEPS_A_TICK))
+    assert _steps_in_bag(bag, "/inputs") == list(range((1 + later) * STEPS_A_TICK, 240, STEPS_A_TICK))
+
+
 def test_a_controller_that_hangs_is_named_and_the_bag_is_whole(
     start: Callable[..., Launched], listener: Listener, tmp_path: Path
 ) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from gibson_sim.scenes.floor_map import FLOOR_CLEARANCE, FloorMap
 
@@ -16,7 +17,7 @@ HEIGHTS = 12
 
 
 def agreement(floor: FloorMap, robot_height: float, cast: CastRays, *, cells: int, seed: int = 0) -> tuple[float, float]:
-    """Returns which part of cells said to be free are empty, and which part of those said to be occupied are not.
+    """Returns which part of cells said to be free are empty, and which part of those at the rim of what is occupied are not.
 
     Horizontal rays at several heights cross each cell along both axes and both diagonals, both ways; faces of triangles are seen from
     one side only by some. What is level lies between them: rays from above and below find it.
@@ -30,7 +31,9 @@ def agreement(floor: FloorMap, robot_height: float, cast: CastRays, *, cells: in
     """
     rng = np.random.default_rng(seed)
     shares = []
-    for chosen, hit_is_right in ((np.argwhere(floor.free), False), (np.argwhere(floor.occupied), True)):
+    # No ray meets anything in the middle of what is solid.
+    rim = floor.occupied & ~ndimage.binary_erosion(floor.occupied, np.ones((3, 3)))
+    for chosen, hit_is_right in ((np.argwhere(floor.free), False), (np.argwhere(rim), True)):
         some = chosen[rng.choice(len(chosen), min(cells, len(chosen)), replace=False)]
         hits = _anything_in(floor.centers(some), floor, robot_height, cast, 1.004 if hit_is_right else 0.996)
         shares.append(float((hits == hit_is_right).mean()))

@@ -15,13 +15,22 @@ from gibson_sim.types import OUTPUTS, Output
 
 DETAIL_PX = 1.0
 """How far, pixels, levels of detail may put a surface from where it is, unless told otherwise."""
+_VIEWS = (
+    "Cameras on no robot, separated by commas: follow, orbit or top, also with what they go with (`follow:left`), "
+    "or a YAML file of them; see docs/images.md"
+)
+
+
+DEFAULT_SCENE = "linden_flat"
 
 
 @dataclass(frozen=True, slots=True)
 class PhysicsConfig:
     """Settings of the physics node."""
 
-    scene: str = setting("flat", "Scene: a name, a folder with scene.yaml, a world file (SDF, Drake directives) or a mesh file")
+    scene: str = setting(
+        DEFAULT_SCENE, "Scene: a name, a folder with scene.yaml, a world file (SDF, Drake directives) or a mesh file"
+    )
     robot: str = setting(
         "gibson_bot",
         "Robot: a name, a folder with robot.yaml, or that file; several, each in a namespace: `left=gibson_bot,right=gibson_bot`",
@@ -79,6 +88,42 @@ class PhysicsConfig:
     camera_outputs: str = setting(
         "", f"What every camera draws, separated by commas: {', '.join(OUTPUTS)}; empty = as the robot's file says"
     )
+    views: str = setting("", _VIEWS + "; on topics `view_follow/image_raw` and so on")
+    view_size: str = setting("640x480", "Width and height of views of which no file says more", unit="px")
+    view_rate: float = setting(30.0, "Images a second of such views", unit="Hz", minimum=0.001, maximum=1000.0)
+    grasp_mode: str = setting(
+        "assisted",
+        "How grippers hold: by friction alone, by a ball joint to what is in reach, or rigidly what they touch; see docs/manipulation.md",
+        choices=("physical", "assisted", "sticky"),
+    )
+    grasp_distance: float = setting(
+        0.2,
+        "assisted: distance from the tool to a surface within which a gripper takes hold",
+        unit="m",
+        minimum=0.001,
+        maximum=10.0,
+    )
+    grasp_force: float = setting(
+        500.0, "The most that the joint between a gripper and what it holds bears", unit="N", minimum=0.001, maximum=1e6
+    )
+    grasp_release_force: float = setting(
+        0.0, "Force above which a gripper lets go; 0 = never", unit="N", minimum=0.0, maximum=1e6
+    )
+    grasp_release_angle_deg: float = setting(
+        90.0, "Opening of a door beyond which a gripper lets go of it; 0 = never", unit="deg", minimum=0.0, maximum=360.0
+    )
+    servo_timeout: float = setting(
+        0.25, "A velocity of a tool older than this (simulation time) stops the arm", unit="s", minimum=0.01, maximum=60.0
+    )
+    servo_max_linear: float = setting(0.5, "Greatest speed of a tool", unit="m/s", minimum=0.001, maximum=100.0)
+    servo_max_angular: float = setting(1.5, "The same about any axis", unit="rad/s", minimum=0.001, maximum=100.0)
+    contacts_rate: float = setting(
+        30.0,
+        "Messages a second on `contacts`, while somebody listens; at most publish_hz",
+        unit="Hz",
+        minimum=0.001,
+        maximum=1000.0,
+    )
     sdf_lamps: bool = setting(
         False, "Lamps of an SDF world light it, through walls too, and cost time each; off = they count as light from everywhere"
     )
@@ -92,6 +137,10 @@ class PhysicsConfig:
     )
     lockstep: bool = setting(
         False, "A tick begins only when every participant has done the last one: renderers, and who joins; see docs/lockstep.md"
+    )
+    pipelined: bool = setting(
+        False,
+        "In lockstep, make the next tick while the others do this one: more ticks a second, and a command takes effect one tick later",
     )
     participants: str = setting(
         "",
@@ -122,12 +171,18 @@ class PhysicsConfig:
             )
         self.wanted_outputs()
         self.wanted_subscribers()
-        if self.participants and not self.lockstep:
-            raise ConfigError("setting 'participants' is given without 'lockstep'; set that too, or leave this out")
+        self.wanted_view_size()
+        for name in ("participants", "pipelined"):
+            if getattr(self, name) and not self.lockstep:
+                raise ConfigError(f"setting {name!r} is given without 'lockstep'; set that too, or leave this out")
 
     def wanted_outputs(self) -> tuple[Output, ...]:
         """Returns the outputs in ``camera_outputs``."""
         return _outputs("camera_outputs", self.camera_outputs)
+
+    def wanted_view_size(self) -> tuple[int, int]:
+        """Returns the width and the height in ``view_size``, pixels."""
+        return _size("view_size", self.view_size)
 
     def wanted_subscribers(self) -> dict[str, int]:
         """Returns how many subscribers each topic of ``wait_for`` must have."""
@@ -147,6 +202,14 @@ def _outputs(name: str, text: str) -> tuple[Output, ...]:
     if unknown:
         raise ConfigError(f"setting {name!r} has {', '.join(unknown)}; must be of {', '.join(OUTPUTS)}")
     return tuple(output for output in OUTPUTS if output in names)
+
+
+def _size(name: str, text: str) -> tuple[int, int]:
+    """Returns the width and the height, pixels, that a setting holds."""
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and 1 <= int(width) <= 16384 and 1 <= int(height) <= 16384):
+        raise ConfigError(f"setting {name!r} is {text!r}, must be WIDTHxHEIGHT, each 1 to 16384 pixels, e.g. 640x480")
+    return int(width), int(height)
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +292,7 @@ class DriveConfig:
     """Settings of the drive node: a client that drives the robot by standard topics."""
 
     drive: str = setting("tour", "tour, forward, square, spin, keyboard, or a file with lines `linear angular seconds`")
-    scene: str = setting("flat", "Scene to plan the tour in; only for tour")
+    scene: str = setting(DEFAULT_SCENE, "Scene to plan the tour in; only for tour")
     robot: str = setting("gibson_bot", "Robot whose size the tour keeps clear; only for tour")
     length: float = setting(
         0.0, "Length of the drive; 0 = 30 m for a tour, 2 m for forward", unit="m", minimum=0.0, maximum=10_000.0
@@ -303,8 +366,11 @@ class RenderBagConfig:
     output: str = setting("", "Folder of the new bag; it must not exist, or be empty")
     cameras: str = setting(
         "",
-        "Cameras to draw: a YAML file with a section `cameras` as in robot.yaml, their links `<body>/<link>`; empty = the bag's own",
+        "Cameras to draw: a YAML file with a section `cameras` as in robot.yaml, their links `<body>/<link>`, or views; empty = the bag's own",
     )
+    views: str = setting("", _VIEWS + "; they come beside the other cameras")
+    view_size: str = setting("640x480", "Width and height of views of which no file says more", unit="px")
+    view_rate: float = setting(30.0, "Images a second of such views", unit="Hz", minimum=0.001, maximum=1000.0)
     outputs: str = setting(
         "", f"What every camera draws, separated by commas: {', '.join(OUTPUTS)}; empty = as the cameras have it"
     )
@@ -334,12 +400,17 @@ class RenderBagConfig:
     def __post_init__(self) -> None:
         check_settings(self)
         self.wanted_outputs()
+        self.wanted_view_size()
         if self.end and self.end <= self.begin:
             raise ConfigError(f"setting 'end' is {self.end:g} s, must be after 'begin', {self.begin:g} s, or 0")
 
     def wanted_outputs(self) -> tuple[Output, ...]:
         """Returns the outputs in ``outputs``."""
         return _outputs("outputs", self.outputs)
+
+    def wanted_view_size(self) -> tuple[int, int]:
+        """Returns the width and the height in ``view_size``, pixels."""
+        return _size("view_size", self.view_size)
 
 
 @dataclass(frozen=True, slots=True)
@@ -358,6 +429,22 @@ class ReplayConfig:
         check_settings(self)
 
 
+@dataclass(frozen=True, slots=True)
+class TaskConfig:
+    """Settings of the task node: it sets up episodes of a task in a running simulation, and judges them."""
+
+    task: str = setting("point-goal", "Name of the task; `gibson-sim task --list` has them all")
+    seed: int = setting(0, "Seed of the first episode: same seed, same episode", minimum=0)
+    episodes: int = setting(1, "How many episodes, with the seeds that follow", minimum=1, maximum=1_000_000)
+    baseline: str = setting("none", "Who drives: scripted, random, or none = somebody else does; some tasks have more")
+    scene: str = setting("", "Scene that the simulation was started with; empty = that of the task")
+    robot: str = setting("", "Robot that it was started with; empty = that of the task")
+    output: str = setting("", "File that gets all results as JSON; empty = none")
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
 NODE_CONFIGS: dict[str, type[Any]] = {
     "physics": PhysicsConfig,
     "render": RenderConfig,
@@ -365,5 +452,6 @@ NODE_CONFIGS: dict[str, type[Any]] = {
     "record": RecordConfig,
     "snapshot": SnapshotConfig,
     "replay": ReplayConfig,
+    "task": TaskConfig,
 }
 """Node name -> its settings."""

@@ -1,4 +1,4 @@
-"""Starts the physics node and the render node: ros2 launch gibson_sim sim.launch.py scene:=flat rate:=1.0"""
+"""Starts the physics node and the render node: ros2 launch gibson_sim sim.launch.py scene:=linden_flat rate:=1.0"""
 
 import os
 
@@ -12,7 +12,7 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 ARGUMENTS = (
-    ("scene", "flat", str, "scene: a name, a folder, a world file or a mesh file"),
+    ("scene", "linden_flat", str, "scene: a name, a folder, a world file or a mesh file"),
     ("robot", "gibson_bot", str, "robot: a name, a folder or a robot.yaml; several: left=gibson_bot,right=gibson_bot"),
     ("start", "", str, "where the robot starts: a name or x,y,yaw_deg; several: separated by ;"),
     ("robot_tf", "namespaced", str, "several robots: namespaced or prefixed transforms"),
@@ -21,6 +21,9 @@ ARGUMENTS = (
     ("reset_time", "rewind", str, "what a reset does to /clock: rewind or monotonic"),
     ("map", "auto", str, "publish the floor's occupancy grid: auto, on or off"),
     ("publish_map_tf", "false", bool, "publish map -> odom from ground truth"),
+    ("views", "", str, "cameras on no robot: follow, orbit, top, or a YAML file of them; several: separated by commas"),
+    ("view_size", "640x480", str, "width and height of views"),
+    ("view_rate", "30.0", float, "images a second of views"),
 )
 
 

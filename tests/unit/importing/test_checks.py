@@ -135,6 +135,23 @@ def test_a_good_scene_is_clean_and_the_exit_code_says_so(tmp_path: Path, capsys:
     assert capsys.readouterr().out == "test: clean\n"
 
 
+def test_what_a_scene_that_was_begun_lacks_is_a_note_and_what_no_longer_fits_a_warning(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rooms = "rooms: [{name: hall, class: hall, polygon: [[-3, -2], [3, -2], [3, 2], [-3, 2]]}]\n"
+    folder = _scene(tmp_path / "a", *room(), rooms)
+    assert _run("check", folder) == 0
+    assert (
+        "unfinished: a finished scene also has floor_trav_0.png, floors.txt, free_poses.csv, LICENSE" in capsys.readouterr().out
+    )
+    assert _run("map", folder, "--write") == 0
+    assert _run("check", folder) == 0
+    (folder / "floors.txt").write_text("1.5\n")
+    capsys.readouterr()
+    assert _run("check", folder) == 1
+    assert "out-of-date: floors.txt: has floors at 1.5 m, the scene at 0 m" in capsys.readouterr().out
+
+
 def test_what_is_wrong_is_told_with_a_remedy_and_exit_code_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     corners, quads = room()
     starts = "starts: [{name: bad, xy: [1.5, 1.0]}, {name: good, xy: [0.0, 0.0]}]\nfloor_z: 0.0\n"

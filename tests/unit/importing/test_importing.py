@@ -12,9 +12,13 @@ import yaml
 
 from gibson_sim.cli.main import main
 from gibson_sim.errors import ConfigError, GibsonSimError, SceneError, SceneNotFoundError
+from gibson_sim.importing.check import check_path
+from gibson_sim.importing.fix import Fix, fix_scene
 from gibson_sim.importing.run import Choices, import_scene
+from gibson_sim.importing.scans import is_scan
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.mesh import MeshLoader, collision_triangles, scene_roots
+from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart
 from gibson_sim.scenes.spec import SceneSpec
 from support.gltf import Gltf
 from support.interiors import SIZE, room, turned, write_gibson_folder, write_obj, write_replica_folder
@@ -286,3 +290,42 @@ def test_real_scenes_import_as_they_are(data_dir: Path, tmp_path: Path, name: st
     for what in missing.get(name, []):
         assert sum(what in warning for warning in imported.warnings) == 1
     assert {"scene.yaml", "assets"} <= {p.name for p in (tmp_path / "out").iterdir()}
+
+
+# Scans
+
+
+def _bumpy_room(cells: int) -> tuple[np.ndarray, np.ndarray]:
+    """A floor of 6 x 4 m whose height is off by up to 4 mm, (V, 3), and its squares (F, 4)."""
+    y, x = np.meshgrid(np.linspace(-2, 2, cells + 1), np.linspace(-3, 3, cells + 1), indexing="ij")
+    heights = np.random.default_rng(0).uniform(-0.004, 0.004, x.size)
+    corner = np.arange(cells * (cells + 1)).reshape(cells, cells + 1)[:, :-1].ravel()
+    return np.column_stack([x.ravel(), y.ravel(), heights]), np.column_stack(
+        [corner, corner + 1, corner + cells + 2, corner + cells + 1]
+    )
+
+
+def test_a_scan_is_bumped_into_in_its_simple_form_and_so_is_its_mended_copy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    write_obj(tmp_path / "scan.obj", *_bumpy_room(101))
+    imported = import_scene(tmp_path / "scan.obj", tmp_path / "out")
+    assert "collision: simplified" in imported.file.read_text()
+    assert any(c.shape.kind == "box" for c in imported.scene.collisions)
+    rooms = "rooms: [{name: hall, class: hall, polygon: [[-3, -2], [3, -2], [3, 2], [-3, 2]]}]\n"
+    imported.file.write_text(imported.file.read_text() + rooms)
+    file, report = fix_scene(check_path(imported.file), tmp_path / "mended", Fix(level=False))
+    assert "collision: simplified" in file.read_text()
+    assert report.scene is not None and [room.name for room in report.scene.rooms] == ["hall"]
+
+
+def test_many_things_that_do_not_hang_together_are_no_scan() -> None:
+    corners, faces = _bumpy_room(101)
+    loose = corners[faces].reshape(-1, 3)
+    squares = np.arange(len(loose)).reshape(-1, 4)
+    apart = loose + np.repeat(np.arange(len(squares)), 4)[:, None] * (0.0, 0.0, 0.1)
+    normals = np.zeros_like(apart, dtype=np.float32)
+    triangles = np.concatenate([squares[:, :3], squares[:, [0, 2, 3]]]).astype(np.uint32)
+    meshes = (Mesh((MeshPart(v.astype(np.float32), normals, None, triangles, Material()),)) for v in (loose, apart))
+    assert [is_scan(mesh) for mesh in meshes] == [True, False]

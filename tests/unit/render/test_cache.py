@@ -119,7 +119,9 @@ def test_what_decides_the_result_decides_the_file(cache: SceneCache, visuals: Vi
         replace(square, shape=replace(square.shape, size=(1.0, 1.0, 2.0))),
         replace(square, look=Look(hue=0.1)),
     ]
-    names = [_path(cache, visuals), _path(cache, visuals, coarser=False), cache.path(visuals, ("a/b",), [(1, 1)], True)]
+    names = [_path(cache, visuals), _path(cache, visuals, coarser=False)]
+    moving = (replace(square, link="a/b"),)
+    names += [cache.path(moving, links, [(1, 1)], True) for links in ((), ("a/b",), ("c/d", "a/b"))]
     names += [cache.path(visuals, (), [(1, 2)], True), *(_path(cache, (other,)) for other in others)]
     monkeypatch.setattr(module, "_code_digest", lambda: "other code")
     names.append(_path(cache, visuals))
@@ -226,3 +228,8 @@ def test_one_scene_above_the_limit_is_kept_alone(tmp_path: Path, visuals: Visual
 def test_the_folder_is_where_the_desktop_says(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", "/somewhere")
     assert default_folder() == Path("/somewhere/gibson-sim/scenes")
+
+
+def test_links_behind_those_that_are_drawn_change_no_file(cache: SceneCache, visuals: Visuals) -> None:
+    moving = (replace(visuals[0], link="a/b"),)
+    assert cache.path(moving, ("a/b",), [(1, 1)], True) == cache.path(moving, ("a/b", "view_follow"), [(1, 1)], True)

@@ -9,7 +9,15 @@ import pytest
 
 from gibson_sim.errors import EnvironmentProblemError
 from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_xyz_rpy
-from gibson_sim.scanning.coloured_mesh import ColouredMesh, level_transform, moved, welded, without_small_parts, write_ply
+from gibson_sim.scanning.coloured_mesh import (
+    ColouredMesh,
+    level_transform,
+    moved,
+    thinned,
+    welded,
+    without_small_parts,
+    write_ply,
+)
 from gibson_sim.scanning.fusion import open3d
 from gibson_sim.scanning.posed_rgbd import ScanError
 from gibson_sim.scenes.mesh import load_mesh
@@ -40,6 +48,20 @@ def test_vertices_that_nearly_agree_become_one_and_slivers_go():
     mesh = welded(ColouredMesh(vertices, triangles, np.zeros((5, 3), np.uint8)), 1e-3)
     assert (len(mesh.vertices), len(mesh.triangles)) == (4, 2)
     assert mesh.area == pytest.approx(1.0)
+
+
+def test_a_thinned_mesh_keeps_its_shape_and_the_colours_of_its_vertices():
+    y, x = np.mgrid[0:41, 0:41].astype(np.float32) / 10
+    vertices = np.column_stack([x.ravel(), y.ravel(), np.where(x > 2, x - 2, 0).ravel()]).astype(np.float32)
+    first = (np.arange(40)[:, None] * 41 + np.arange(40)).ravel()
+    triangles = np.concatenate([first[:, None] + corners for corners in ((0, 1, 42), (0, 42, 41))]).astype(np.int32)
+    colors = np.column_stack([10 * x.ravel(), 10 * y.ravel(), np.zeros(x.size)]).astype(np.uint8)
+    full = ColouredMesh(vertices, triangles, colors)
+    less = thinned(full, 400)
+    assert 300 < len(less.triangles) <= 400
+    assert less.area == pytest.approx(full.area, rel=1e-4)
+    assert np.abs(less.colors[:, :2] - 10 * less.vertices[:, :2]).max() < 1.01
+    assert len(np.unique(less.triangles)) == len(less.vertices)
 
 
 @pytest.mark.parametrize("rpy", [(0.0, 0.0, 0.0), (-1.8, 0.1, 0.3), (3.0, 0.0, 0.0)])

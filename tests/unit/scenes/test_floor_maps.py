@@ -14,7 +14,7 @@ from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.spec import Shape
 from gibson_sim.robots.urdf import UrdfCollision, UrdfJoint, UrdfLink, UrdfModel
 from gibson_sim.scenes.floor_map import FloorMap, make_floor_map
-from gibson_sim.scenes.maps.bodies import link_transforms
+from gibson_sim.scenes.maps.bodies import body_triangles, link_transforms
 from gibson_sim.scenes.maps.levels import find_floors, scene_floors
 from gibson_sim.scenes.maps.traversability import RobotSize, floor_maps, traversable_map
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
@@ -180,3 +180,56 @@ def test_lawn_around_a_house_is_not_taken_for_indoors(lawn: Corners, ceiling: bo
 def test_open_floor_without_any_wall_is_a_region() -> None:
     floor = _map(_level(0, 0, 4, 3, 0))
     assert floor.largest_free_region(0.2).any()
+
+
+def _turned(corners: Corners) -> Corners:
+    """Returns the triangles seen from the other side."""
+    return [corner for k in range(0, len(corners), 3) for corner in (corners[k], corners[k + 2], corners[k + 1])]
+
+
+def _standing(bottom: float) -> Corners:
+    """A wardrobe higher than the robot, whose underside is ``bottom`` above the floor and faces down."""
+    return _box(1.0, 1.0, 3.0, 2.0, 2.0, bottom=bottom) + _turned(_level(1, 1, 3, 2, bottom))
+
+
+@pytest.mark.parametrize("ground_plane", [False, True], ids=["floor", "ground plane"])
+@pytest.mark.parametrize("bottom", [0.0, 0.02])
+def test_inside_of_a_wardrobe_on_the_floor_nothing_is_free(bottom: float, ground_plane: bool) -> None:
+    corners = _triangles((_walls(0, 0, 4, 3) if ground_plane else ROOM) + _standing(bottom))
+    simple = make_floor_map(
+        corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), floor_z=0.0, robot_height=0.5, resolution=0.1,
+        ground_plane=ground_plane,
+    )  # fmt: skip
+    for floor in (simple, traversable_map(corners, floor_z=0.0, robot=RobotSize(), resolution=0.1, ground_plane=ground_plane)):
+        assert not _free_at(floor, 2.05, 1.55)
+        assert floor.occupied[tuple(floor.cells((2.05, 1.55)))]
+        assert _free_at(floor, 0.5, 1.5)
+
+
+def test_below_a_table_and_below_a_roof_seen_from_above_alone_the_floor_is_free() -> None:
+    # The top of the table faces up, and so do the roof and an upper floor without a ceiling.
+    floor = _map(ROOM + _level(1, 1, 3, 2, 0.75) + _level(0, 0, 4, 3, 2.5))
+    assert _free_at(floor, 2.05, 1.55) and _free_at(floor, 0.5, 0.5)
+
+
+def test_a_rug_lies_on_the_floor_and_is_free() -> None:
+    floor = _map(ROOM + _box(1, 1, 3, 2, 0.015) + _turned(_level(1, 1, 3, 2, 0.0)))
+    assert _free_at(floor, 2.05, 1.55)
+
+
+@pytest.mark.parametrize("doubled", [True, False], ids=["doubled", "turned"])
+def test_a_room_whose_faces_are_turned_or_doubled_keeps_its_floor(doubled: bool) -> None:
+    inside_out = _turned(ROOM) + _level(0, 0, 4, 3, 2.5)
+    floor = _map(inside_out + (ROOM if doubled else []))
+    assert _free_at(floor, 2.05, 1.55)
+
+
+def test_hulls_of_bodies_face_outwards(tmp_path: Path) -> None:
+    path = tmp_path / "wedge.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nv 1 1 1\nf 1 2 3\nf 1 2 4\nf 2 3 5\nf 3 4 5\n")
+    link = UrdfLink("wedge", collisions=(UrdfCollision(Shape("mesh", (1.0, 1.0, 1.0), str(path)), Pose()),))
+    body = BodySpec("wedge", UrdfModel("wedge", Path("wedge.urdf"), (link,), ()), Pose((2.0, 1.0, 0.0)))
+    vertices, triangles = body_triangles(_scene(tmp_path, ROOM, bodies=(body,)))
+    corners = vertices[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (np.einsum("ij,ij->i", normals, corners.mean(axis=1) - vertices.mean(axis=0)) > 0).all()

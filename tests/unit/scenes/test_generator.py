@@ -38,7 +38,9 @@ def test_other_seed_makes_other_textures(tmp_path: Path) -> None:
 def test_shipped_flat_is_the_one_that_the_script_makes(root: Path, tmp_path: Path) -> None:
     make_flat(tmp_path, seed=1)
     shipped, made = _files(root / "scenes" / "flat"), _files(tmp_path)
-    assert shipped.keys() == made.keys()
+    # Made of the finished scene, or by hand.
+    assert shipped.keys() - made.keys() == {"floor_trav_0.png", "floors.txt", "free_poses.csv", "thumbnail.jpg"}
+    assert made.keys() <= shipped.keys()
     assert made["scene.yaml"] == shipped["scene.yaml"]
     # The last bits of a cosine and the encoder of a JPEG differ between machines; sizes and shapes do not.
     assert [n for n in made if n.endswith(".glb") and len(made[n]) != len(shipped[n])] == []

@@ -28,6 +28,8 @@ COMMAND_TYPES: Mapping[str, tuple[str, ...]] = {
     "cmd_vel": ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"),
     "joint_trajectory": ("trajectory_msgs/msg/JointTrajectory",),
     "joint_command": ("sensor_msgs/msg/JointState",),
+    "delta_twist_cmds": ("geometry_msgs/msg/TwistStamped",),
+    "grasp": ("std_msgs/msg/Bool",),
 }
 """Last part of a command topic's name -> types of its messages."""
 _SET_STATE, _LOAD_WORLD = "set_simulation_state", "load_world"

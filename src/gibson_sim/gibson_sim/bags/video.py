@@ -96,16 +96,16 @@ def write_video(
         raise RecordError(f"speed is {speed:g} and fps is {fps}; both must be above 0")
     path = Path(path)
     with BagReader(bag) as reader:
-        panels = _Panels(reader, topics)
+        panels = Panels(reader, topics)
         shown = panels.stamps
         period = nominal_period_ns(shown) or NS_PER_S / 10.0
         rate = fps or min(NS_PER_S / period * speed, MAX_FPS)
-        repeats = _repeats(shown, NS_PER_S / rate * speed)
-        video: _Video | None = None
+        repeats = repeats_of(shown, NS_PER_S / rate * speed)
+        video: VideoFile | None = None
         try:
             for index, picture in panels.pictures(frozenset(np.flatnonzero(repeats).tolist())):
                 if video is None:
-                    video = _Video(path, rate, (picture.shape[1], picture.shape[0]))
+                    video = VideoFile(path, rate, (picture.shape[1], picture.shape[0]))
                 for _ in range(repeats[index]):
                     video.write(picture)
         finally:
@@ -136,7 +136,7 @@ def write_contact_sheet(
     if columns < 1 or rows < 1 or width < 32:
         raise RecordError(f"contact sheet of {columns} columns, {rows} rows and width {width}; must be at least 1, 1 and 32")
     with BagReader(bag) as reader:
-        panels = _Panels(reader, topics)
+        panels = Panels(reader, topics)
         wanted = np.unique(np.rint(np.linspace(0, len(panels.stamps) - 1, columns * rows)).astype(np.int64))
         odometry = _Odometry(reader)
         cells = []
@@ -152,14 +152,23 @@ def write_contact_sheet(
     # Not cv2.imwrite: it prints a warning and returns False where writing fails.
     ok, png = cv2.imencode(".png", sheet)
     assert ok, "a picture of uint8 can always be encoded"
-    try:
-        path.write_bytes(png.tobytes())
-    except OSError as error:
-        raise RecordError(f"contact sheet {path} cannot be written: {error.strerror}") from error
+    write_file(path, png.tobytes())
     return path
 
 
-class _Panels:
+def write_file(path: Path, data: bytes) -> None:
+    """Writes a picture.
+
+    Raises:
+        RecordError: it cannot be written.
+    """
+    try:
+        path.write_bytes(data)
+    except OSError as error:
+        raise RecordError(f"picture {path} cannot be written: {error.strerror}") from error
+
+
+class Panels:
     """The images of some topics, put together where their stamps are equal."""
 
     def __init__(self, reader: BagReader, topics: Sequence[str] | None) -> None:
@@ -174,34 +183,51 @@ class _Panels:
         if not stamps[self.topics[0]]:
             raise RecordError(f"bag {reader.folder} has no images on {self.topics[0]}: record while the render node runs")
         self._stamps = {topic: set(values) for topic, values in stamps.items()}
+        self._sizes: dict[str, tuple[int, ...]] = {}
         self.stamps: NDArray[np.int64] = np.unique(np.array(stamps[self.topics[0]], dtype=np.int64))
         """Stamps of the frames, rising, nanoseconds."""
 
+    def complete(self, begin: float = 0.0, end: float = 0.0) -> NDArray[np.int64]:
+        """Returns the indices of the frames of which no topic lacks an image, rising.
+
+        Args:
+            begin: leave out what is earlier, seconds after the begin of the bag.
+            end: leave out what is later, seconds after the begin of the bag; 0 = nothing.
+        """
+        first_ns = self._reader.span_ns[0]
+        late = first_ns + (round(end * NS_PER_S) if end else 2**62)
+        alike = np.array([all(int(stamp) in stamps for stamps in self._stamps.values()) for stamp in self.stamps])
+        return np.flatnonzero(alike & (self.stamps >= first_ns + round(begin * NS_PER_S)) & (self.stamps <= late))
+
     def pictures(self, wanted: frozenset[int], stacked: bool = False) -> Iterator[tuple[int, Bgr]]:
         """Yields (index into ``stamps``, picture) of the wanted frames, in order; black where a topic lacks an image."""
+        for index, images in self.images(wanted):
+            yield index, self._join(images, stacked)
+
+    def images(self, wanted: frozenset[int]) -> Iterator[tuple[int, dict[str, Bgr]]]:
+        """Yields (index into ``stamps``, images by topic) of the wanted frames, in order."""
         todo = sorted(wanted)
         numbers = {int(self.stamps[i]): i for i in todo}
         waiting: dict[int, dict[str, Bgr]] = {stamp: {} for stamp in numbers}
-        sizes: dict[str, tuple[int, ...]] = {}
         for topic, _, raw in self._reader.raw_messages(self.topics):
             stamp = stamp_ns(raw)
             if stamp in waiting:
                 waiting[stamp][topic] = image_to_bgr(self._reader.decode(IMAGE, raw))
-                sizes[topic] = waiting[stamp][topic].shape
+                self._sizes[topic] = waiting[stamp][topic].shape
             while todo and self._complete(stamp := int(self.stamps[todo[0]]), waiting[stamp]):
-                yield todo.pop(0), self._join(waiting.pop(stamp), sizes, stacked)
+                yield todo.pop(0), waiting.pop(stamp)
 
     def _complete(self, stamp: int, images: dict[str, Bgr]) -> bool:
         return all(topic in images or stamp not in self._stamps[topic] for topic in self.topics)
 
-    def _join(self, images: dict[str, Bgr], sizes: dict[str, tuple[int, ...]], stacked: bool) -> Bgr:
+    def _join(self, images: dict[str, Bgr], stacked: bool) -> Bgr:
         first = images[self.topics[0]]
         height, width = first.shape[:2]
         parts = []
         for topic in self.topics:
             part = images.get(topic)
             if part is None:
-                part = np.zeros(sizes.get(topic, first.shape), dtype=np.uint8)
+                part = np.zeros(self._sizes.get(topic, first.shape), dtype=np.uint8)
             if part.shape[:2] != (height, width):
                 # Depth of another resolution: nearest, so that no colours appear that no distance has.
                 part = np.asarray(cv2.resize(part, (width, height), interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
@@ -231,7 +257,7 @@ def _camera(topic: str) -> str:
     return namespace.rpartition("/")[0] if namespace.endswith(("/depth", "/rgb", "/color", "/colour")) else namespace
 
 
-def _repeats(stamps: NDArray[np.int64], step_ns: float) -> NDArray[np.int64]:
+def repeats_of(stamps: NDArray[np.int64], step_ns: float) -> NDArray[np.int64]:
     """Returns how many frames of the video show each image (N,): every video frame shows the image nearest to its time."""
     count = int(np.floor((stamps[-1] - stamps[0]) / step_ns + 0.5)) + 1
     times = (np.arange(count) * step_ns).astype(np.float64)
@@ -240,7 +266,7 @@ def _repeats(stamps: NDArray[np.int64], step_ns: float) -> NDArray[np.int64]:
     return np.bincount(np.searchsorted(borders, times, side="right"), minlength=len(stamps)).astype(np.int64)
 
 
-class _Video:
+class VideoFile:
     """A video that is being written."""
 
     def __init__(self, path: Path, fps: float, size: tuple[int, int]) -> None:
@@ -281,6 +307,7 @@ class _Video:
             raise RecordError(f"video {self._path} cannot be written: {error}; is the disk full?") from error
 
     def close(self) -> None:
+        """Finishes the file; a second call does nothing."""
         container, self._container = self._container, None
         if container is None:
             return

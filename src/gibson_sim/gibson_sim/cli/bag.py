@@ -1,4 +1,4 @@
-"""``gibson-sim bag``: look at a recorded bag, check it, mend it, make pictures of it."""
+"""``gibson-sim bag``: look at a recorded bag, check it, mend it, make pictures and films of it."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.bags.check import check_bag
+from gibson_sim.bags.film import PICTURES, write_film, write_film_strip
 from gibson_sim.bags.video import write_contact_sheet
 from gibson_sim.bags.writer import repair
 from gibson_sim.cli.pictures import write_pictures
+from gibson_sim.errors import RecordError
 
 
 def add_parser(subparsers: Any) -> None:
@@ -24,12 +26,28 @@ def add_parser(subparsers: Any) -> None:
     video.set_defaults(run=_video)
     sheet = actions.add_parser("sheet", help="write a contact sheet alone")
     sheet.set_defaults(run=_sheet)
-    for action in (check, mend, video, sheet):
+    film = actions.add_parser("film", help="write a figure (film strip) or a video of cameras above each other")
+    film.set_defaults(run=_film)
+    for action in (check, mend, video, sheet, film):
         action.add_argument("bag", type=Path, metavar="DIR", help="folder of the bag")
     video.add_argument("file", type=Path, metavar="FILE.mp4")
     sheet.add_argument("file", type=Path, metavar="FILE.png")
     sheet.add_argument("--columns", type=int, default=4, help="pictures in a row (default: 4)")
     sheet.add_argument("--rows", type=int, default=4, help="rows of pictures (default: 4)")
+    film.add_argument(
+        "files", type=Path, nargs="+", metavar="FILE", help="film strip (.png, .jpg) or video (.mp4); several at once"
+    )
+    film.add_argument(
+        "--topics", default="", help="image topics or names of cameras, separated by commas, from the top (default: all colours)"
+    )
+    film.add_argument("--columns", type=int, default=6, help="moments in the strip (default: 6)")
+    film.add_argument("--width", type=int, metavar="PX", help="of an image (default: 320 in a strip, 640 in a video)")
+    film.add_argument(
+        "--from", dest="begin", type=float, default=0.0, metavar="S", help="begin S seconds after the begin of the bag"
+    )
+    film.add_argument("--to", dest="end", type=float, default=0.0, metavar="S", help="end S seconds after the begin of the bag")
+    film.add_argument("--fps", type=float, help="frames a second of the video (default: as the stamps have it)")
+    film.add_argument("--speed", type=float, default=1.0, help="seconds of the run in a second of the video (default: 1)")
 
 
 def _check(args: argparse.Namespace) -> int:
@@ -51,4 +69,22 @@ def _video(args: argparse.Namespace) -> int:
 
 def _sheet(args: argparse.Namespace) -> int:
     print(write_contact_sheet(args.bag, args.file, args.columns, args.rows))
+    return 0
+
+
+def _film(args: argparse.Namespace) -> int:
+    topics = [topic.strip() for topic in args.topics.split(",") if topic.strip()]
+    known = (*PICTURES, ".mp4")
+    for path in args.files:
+        if path.suffix.lower() not in known:
+            raise RecordError(f"film {path}: the name must end in {', '.join(known)}")
+    for path in args.files:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        given: dict[str, Any] = {"topics": topics, "begin": args.begin, "end": args.end}
+        if args.width is not None:
+            given["width"] = args.width
+        if path.suffix.lower() in PICTURES:
+            print(write_film_strip(args.bag, path, columns=args.columns, **given))
+        else:
+            print(write_film(args.bag, path, fps=args.fps, speed=args.speed, **given))
     return 0

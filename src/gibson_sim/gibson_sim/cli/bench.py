@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.cli import bench_lockstep, bench_ros, bench_tensors
+from gibson_sim.cli import bench_lockstep, bench_ros, bench_tasks, bench_tensors
 from gibson_sim.cli.report_file import add_report_options, write_json
 from gibson_sim.config import DETAIL_PX
 from gibson_sim.errors import ConfigError
@@ -26,6 +26,7 @@ def add_parser(subparsers: Any) -> None:
     bench_tensors.add_parser(kinds)
     bench_ros.add_parser(kinds)
     bench_lockstep.add_parser(kinds)
+    bench_tasks.add_parser(kinds)
 
 
 def _add_render(kinds: Any) -> None:

@@ -31,7 +31,8 @@ def add_parser(subparsers: Any) -> None:
         parser,
         RenderBagConfig,
         (
-            "cameras", "outputs", "rate", "interpolate", "lights", "randomise", "randomise_seed", "copy", "compression", "reserve_mb",
+            "cameras", "views", "view_size", "view_rate", "outputs", "rate", "interpolate", "lights", "randomise", "randomise_seed",
+            "copy", "compression", "reserve_mb",
         ),
     )  # fmt: skip
     parser.add_argument("--from", dest="begin", type=float, metavar="S", help="begin S seconds after the begin of the bag")

@@ -18,10 +18,20 @@ from gibson_sim.config import PhysicsConfig, RecordConfig, RenderConfig, ReplayC
 from gibson_sim.errors import ConfigError, RecordError
 from gibson_sim.resources import find_scene
 
-_PHYSICS = ("scene", "robot", "start", "rate", "seed", "randomise", "randomise_seed", "participant_timeout")
+_PHYSICS = ("scene", "robot", "start", "rate", "seed", "randomise", "randomise_seed", "views", "participant_timeout")
 _RENDER = ("egl_device", "egl_uuid", "egl_library", "cameras", "asset_roots", "cache")
 """Settings that may be other than recorded. Times of a run count in its steps, so ``step_hz`` and ``publish_hz`` may not."""
-_OF_THE_RUN = ("summary_path", "wait_for", "participants", "duration", "lockstep", "digests", "start_paused", "on_timeout")
+_OF_THE_RUN = (
+    "summary_path",
+    "wait_for",
+    "participants",
+    "duration",
+    "lockstep",
+    "pipelined",
+    "digests",
+    "start_paused",
+    "on_timeout",
+)
 """Settings that say how the recorded run was started and ended, not what happened in it."""
 
 

@@ -41,6 +41,7 @@ def add_parser(subparsers: Any) -> None:
             "map_resolution",
             "duration",
             "lockstep",
+            "pipelined",
             "participants",
             "participant_timeout",
             "on_timeout",
@@ -50,7 +51,15 @@ def add_parser(subparsers: Any) -> None:
             "publish_hz",
             "camera_rate",
             "camera_outputs",
+            "views",
+            "view_size",
+            "view_rate",
             "cmd_vel_timeout",
+            "grasp_mode",
+            "grasp_distance",
+            "grasp_force",
+            "grasp_release_force",
+            "grasp_release_angle_deg",
             "publish_map_tf",
             "sdf_lamps",
             "randomise",
@@ -97,6 +106,10 @@ def _plan(args: argparse.Namespace, folder: Path) -> Job:
     find_scene(wanted.scene)
     if wanted.randomise:
         find_config(wanted.randomise, "randomisation")
+    if wanted.views:
+        from gibson_sim.scenes.load_views import read_views  # robots and cameras with it
+
+        read_views(wanted.views)
     job = Job(folder, video=_new_file(args.video), summary=Path(args.summary) if args.summary else None)
     waits = {} if args.no_render else {STATE_TOPIC: 1}
     physics: dict[str, Any] = {"summary_path": str(folder / "physics.json")}

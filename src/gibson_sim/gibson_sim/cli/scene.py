@@ -13,6 +13,7 @@ from gibson_sim.cli import (
     scene_inspect,
     scene_map,
     scene_objects,
+    scene_robot,
     scene_scan,
     scene_view,
 )
@@ -25,6 +26,7 @@ _COMMANDS: tuple[ModuleType, ...] = (
     scene_inspect,
     scene_map,
     scene_objects,
+    scene_robot,
     scene_scan,
     scene_view,
 )

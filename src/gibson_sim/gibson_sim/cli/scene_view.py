@@ -19,17 +19,22 @@ MOST_VIEWS = 22
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser(
-        "view", help="write one picture: views at eye height from free places, from above, and the floor map"
+        "view",
+        help="write one picture: views at eye height from free places, from above, and the floor map",
+        description="Writes one picture of a scene: views at eye height from free places, from above, and the floor map. Of several "
+        "scenes: a row of views of each.",
     )
-    parser.add_argument("scene", metavar="SCENE", help="name, folder or file of a scene")
-    parser.add_argument("--output", type=Path, metavar="FILE", help="the picture, .png or .jpg (default: NAME_view.png)")
+    parser.add_argument("scene", metavar="SCENE", nargs="+", help="name, folder or file of a scene")
+    parser.add_argument(
+        "--output", type=Path, metavar="FILE", help="the picture, .png or .jpg (default: NAME_view.png, of the first)"
+    )
     parser.add_argument("--views", type=int, default=4, metavar="N", help="views at eye height (default: 4)")
     parser.add_argument(
         "--floor",
         type=int,
         default=None,
         metavar="N",
-        help="number of the floor, 0 = the lowest (default: the one of the starts)",
+        help="number of the floor, 0 = the lowest (default: the one of the starts); for one scene",
     )
     parser.add_argument(
         "--width", type=int, default=0, metavar="PX", help="scale the sheet to this width (default: 640 pixels a picture)"
@@ -40,20 +45,26 @@ def add_parser(subparsers: Any) -> None:
 @quiet()
 def _run(args: argparse.Namespace) -> ExitCode:
     # Loaded here: the other sub-commands need no OpenGL.
-    from gibson_sim.importing.views import contact_sheet
+    from gibson_sim.importing.views import contact_sheet, gallery_of_scenes
 
     if not 1 <= args.views <= MOST_VIEWS:
         raise ConfigError(f"--views is {args.views}, must be 1 to {MOST_VIEWS}")
-    scene = load_scene(args.scene)
-    if args.floor is not None and not 0 <= args.floor < len(scene.floors):
-        raise ConfigError(f"--floor is {args.floor}, scene {scene.name!r} has floors 0 to {len(scene.floors) - 1}")
-    picture = contact_sheet(scene, args.views, floor_z=None if args.floor is None else scene.floors[args.floor])
+    scenes = [load_scene(name) for name in args.scene]
+    scene = scenes[0]
+    if len(scenes) > 1:
+        if args.floor is not None:
+            raise ConfigError("--floor is for one scene: of several, all floors are shown; name one scene, or leave it out")
+        picture = gallery_of_scenes(scenes, args.views)
+    else:
+        if args.floor is not None and not 0 <= args.floor < len(scene.floors):
+            raise ConfigError(f"--floor is {args.floor}, scene {scene.name!r} has floors 0 to {len(scene.floors) - 1}")
+        picture = contact_sheet(scene, args.views, floor_z=None if args.floor is None else scene.floors[args.floor])
     if args.width:
         height = round(picture.shape[0] * args.width / picture.shape[1])
         picture = cv2.resize(picture, (args.width, height), interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
     path = args.output or Path(f"{scene.name}_view.png")
     path.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
+    if not cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 88]):
         raise SceneError(f"{path}: cannot be written: is the folder writable, and does the name end in .png or .jpg?")
     print(path)
     return ExitCode.OK

@@ -15,6 +15,7 @@ from gibson_sim.scenes.maps.export import FLOORS
 from gibson_sim.scenes.maps.traversability import scene_triangles
 from gibson_sim.scenes.spec import SceneSpec
 
+THUMBNAIL = "thumbnail.jpg"
 _SLACK = 0.001
 """Metres: heights and places in the files are rounded."""
 
@@ -23,8 +24,13 @@ def missing(scene: SceneSpec) -> list[str]:
     """Returns what a scene of ours lacks, in words; nothing of one that has no scene.yaml."""
     if not (scene.root / DESCRIPTION).is_file():
         return []
-    files = [*(f"floor_trav_{number}.png" for number in range(len(scene.floors))), FLOORS, FREE_POSES, "LICENSE", "thumbnail.jpg"]
+    files = [*(f"floor_trav_{number}.png" for number in range(len(scene.floors))), FLOORS, FREE_POSES, "LICENSE", THUMBNAIL]
     return [*([] if scene.rooms else [f"rooms in {DESCRIPTION}"]), *(name for name in files if not (scene.root / name).is_file())]
+
+
+def is_begun(scene: SceneSpec) -> bool:
+    """Returns whether somebody has begun to finish a scene: others need none of all that."""
+    return bool(scene.rooms) or any((scene.root / name).is_file() for name in (FREE_POSES, THUMBNAIL))
 
 
 def out_of_date(scene: SceneSpec, radius: float, height: float) -> Iterator[str]:

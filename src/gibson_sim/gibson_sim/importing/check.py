@@ -11,7 +11,7 @@ import numpy as np
 
 from gibson_sim.errors import GibsonSimError, SceneError
 from gibson_sim.geometry.triangles import areas_of, unit_normals
-from gibson_sim.importing.carried import missing, out_of_date
+from gibson_sim.importing.carried import is_begun, missing, out_of_date
 from gibson_sim.importing.facts import Geometry, SceneFacts, scene_facts, scene_geometry
 from gibson_sim.importing.faults import MeshFaults, find_faults
 from gibson_sim.importing.gravity import ALIGNED_DEG, UNITS, guess_up
@@ -236,6 +236,6 @@ def _carried(scene: SceneSpec) -> Iterator[Finding]:
     for text in out_of_date(scene, ROBOT_RADIUS, ROBOT_HEIGHT):
         yield Finding("out-of-date", "warning", text, "gibson-sim scene map SCENE --write makes it anew")
     lacking = missing(scene)
-    if lacking:
-        remedy = "nothing needs them; `gibson-sim scene map SCENE --write` makes maps and free poses, docs/scenes.md says what rooms are"
+    if lacking and is_begun(scene):
+        remedy = "`gibson-sim scene map SCENE --write` makes maps and free poses; docs/scenes.md says what rooms are"
         yield Finding("unfinished", "note", f"a finished scene also has {', '.join(lacking)}", remedy)

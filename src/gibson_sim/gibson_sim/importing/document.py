@@ -21,6 +21,7 @@ from gibson_sim.importing.glb import write_glb
 from gibson_sim.scenes.load import DESCRIPTION
 from gibson_sim.scenes.mesh import MeshLoader
 from gibson_sim.scenes.mesh_types import Mesh
+from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.types import Pose, Rgba, Vec3
 
 ASSETS = "assets"
@@ -79,6 +80,7 @@ class ImportedScene:
     """Heights from the lowest, metres; empty = found by whoever loads it."""
     ground_z: float | None = None
     gravity: Vec3 | None = None
+    rooms: tuple[RoomSpec, ...] = ()
     starts: list[dict[str, Any]] = field(default_factory=list)
     maps: list[FloorPicture] = field(default_factory=list)
     licences: list[Path] = field(default_factory=list)
@@ -143,6 +145,11 @@ def scene_document(scene: ImportedScene, writer: Placer) -> str:
         document["floor_z"] = _short(scene.floors[0])
     elif scene.floors:
         document["floors"] = [_short(z) for z in scene.floors]
+    if scene.rooms:
+        document["rooms"] = [
+            {"name": r.name, "class": r.room_class, "floor": r.floor, "polygon": [[_short(x), _short(y)] for x, y in r.polygon]}
+            for r in scene.rooms
+        ]
     if scene.light:
         document["light"] = dict(scene.light)
     if scene.starts:

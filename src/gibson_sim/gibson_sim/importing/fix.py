@@ -69,7 +69,7 @@ def fix_scene(report: Report, output: Path, fix: Fix) -> tuple[Path, Report]:
     out = ImportedScene(scene.name, "mended scene", scene.root)
     moved = not np.allclose(matrix, np.eye(4), atol=1e-6)
     if not moved:
-        out.floors, out.ground_z = scene.floors, scene.ground_z
+        out.floors, out.ground_z, out.rooms = scene.floors, scene.ground_z, scene.rooms
     out.light, out.gravity = light_document(scene.light), None if scene.gravity == (0.0, 0.0, -9.81) else scene.gravity
     out.starts = [_start(s.name, s.pose, matrix) for s in scene.starts] if not moved else []
     out.objects = list(_objects(scene, matrix, textures))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import cv2
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
-from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pose_from_xyz_rpy, quat_from_matrix
+from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pose_from_xyz_rpy, quat_from_matrix, turned
 from gibson_sim.render.cache import default_folder
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.floor_map import FLOOR_TOLERANCE, FloorMap, make_floor_map
@@ -51,24 +51,75 @@ def contact_sheet(scene: SceneSpec, views: int, *, floor_z: float | None = None)
     """
     level = scene if floor_z is None else replace(scene, floor_z=floor_z)
     floor = _floor_with_bodies(level)
-    candidates = free_places(floor, _PLACES)
-    if not len(candidates):
-        raise SceneError(
-            f"scene {scene.name!r}: nothing is free on the floor at z = {level.floor_z:.2f} m; look at `gibson-sim scene check`"
-        )
-    overview = _from_above(level)
-    still = replace(scene, visuals=still_visuals(scene), robots=(), bodies=())
-    with Renderer(drawn_scene(still, ()), cache=default_folder()) as renderer:
-        state = SceneState(0, 0, scene.revision, (), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6)))
-        places, yaws = _best(renderer, state, candidates, level.floor_z + EYE_HEIGHT, views)
-        eyes = [_eye(x, y, level.floor_z + EYE_HEIGHT, yaw) for (x, y), yaw in zip(places.tolist(), yaws, strict=True)]
-        pictures = [renderer.render(state, [camera])[0].rgb for camera in (*eyes, overview)]
+    with _still_renderer(scene) as renderer:
+        eyes = _eyes(renderer, level, floor, views)
+        pictures = [_drawn(renderer, scene, camera) for camera in (*eyes, _from_above(level))]
+    places = np.array([eye.pose.position[:2] for eye in eyes])
+    yaws = [_heading(eye) for eye in eyes]
     named = [
         (f"view {k + 1} at {x:.1f}, {y:.1f}", p) for k, ((x, y), p) in enumerate(zip(places.tolist(), pictures, strict=False))
     ]
     named.append(("from above", pictures[-1]))
     named.append((f"floor map, {floor.resolution:g} m a cell", map_picture(floor, places, yaws)))
-    return sheet([(title, picture) for title, picture in named if picture is not None])
+    return sheet(named)
+
+
+def gallery_of_scenes(scenes: Iterable[SceneSpec], views: int) -> Rgb:
+    """Returns pictures at eye height of several scenes, a row for each, (H, W, 3) uint8 sRGB.
+
+    Args:
+        scenes: what to look at.
+        views: pictures of each; a scene with several floors shows them in turn, the lowest first.
+
+    Raises:
+        SceneError: a scene has no free floor.
+    """
+    named = []
+    for scene in scenes:
+        levels = [replace(scene, floor_z=z) for z in scene.floors] or [scene]
+        counts = [len(range(k, views, len(levels))) for k in range(len(levels))]
+        with _still_renderer(scene) as renderer:
+            for number, (level, count) in enumerate(zip(levels, counts, strict=True)):
+                if not count:
+                    continue
+                title = scene.name if len(levels) == 1 else f"{scene.name}, floor {number}"
+                for eye in _eyes(renderer, level, _floor_with_bodies(level), count):
+                    named.append((title, _drawn(renderer, scene, eye)))
+    return sheet(named, views)
+
+
+def _still_renderer(scene: SceneSpec) -> Renderer:
+    """Returns a renderer of a scene with its bodies where they stand at load."""
+    still = replace(scene, visuals=still_visuals(scene), robots=(), bodies=())
+    return Renderer(drawn_scene(still, ()), cache=default_folder())
+
+
+def _drawn(renderer: Renderer, scene: SceneSpec, camera: CameraSpec) -> Rgb:
+    picture = renderer.render(_nothing_moves(scene), [camera])[0].rgb
+    assert picture is not None
+    return picture
+
+
+def _nothing_moves(scene: SceneSpec) -> SceneState:
+    return SceneState(0, 0, scene.revision, (), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6)))
+
+
+def _eyes(renderer: Renderer, level: SceneSpec, floor: FloorMap, count: int) -> list[CameraSpec]:
+    """Returns cameras at eye height from which much of a floor is seen."""
+    candidates = free_places(floor, _PLACES)
+    if not len(candidates):
+        raise SceneError(
+            f"scene {level.name!r}: nothing is free on the floor at z = {level.floor_z:.2f} m; look at `gibson-sim scene check`"
+        )
+    z = level.floor_z + EYE_HEIGHT
+    places, yaws = _best(renderer, _nothing_moves(level), candidates, z, count)
+    return [_eye(x, y, z, yaw) for (x, y), yaw in zip(places.tolist(), yaws, strict=True)]
+
+
+def _heading(camera: CameraSpec) -> float:
+    """Returns the heading of a level camera's picture, radians."""
+    x, y, _ = turned(camera.pose.quat_xyzw, (0.0, 0.0, 1.0))
+    return math.atan2(y, x)
 
 
 def _floor_with_bodies(scene: SceneSpec) -> FloorMap:
@@ -183,13 +234,13 @@ def map_picture(floor: FloorMap, places: F64, yaws: Sequence[float]) -> Rgb:
     return out
 
 
-def sheet(pictures: Sequence[tuple[str, Rgb]]) -> Rgb:
+def sheet(pictures: Sequence[tuple[str, Rgb]], columns: int = _COLUMNS) -> Rgb:
     """Returns pictures of one size with captions, in rows."""
-    rows = math.ceil(len(pictures) / _COLUMNS)
+    rows = math.ceil(len(pictures) / columns)
     cell = (HEIGHT + _CAPTION + _GAP, WIDTH + _GAP)
-    out = np.full((rows * cell[0] + _GAP, min(_COLUMNS, len(pictures)) * cell[1] + _GAP, 3), _PAPER, dtype=np.uint8)
+    out = np.full((rows * cell[0] + _GAP, min(columns, len(pictures)) * cell[1] + _GAP, 3), _PAPER, dtype=np.uint8)
     for k, (title, picture) in enumerate(pictures):
-        top, left = _GAP + k // _COLUMNS * cell[0], _GAP + k % _COLUMNS * cell[1]
+        top, left = _GAP + k // columns * cell[0], _GAP + k % columns * cell[1]
         out[top : top + HEIGHT, left : left + WIDTH] = picture
         where = (left + 4, top + HEIGHT + _CAPTION - 6)
         cv2.putText(out, title, where, cv2.FONT_HERSHEY_SIMPLEX, 0.5, _INK, 1, cv2.LINE_AA)

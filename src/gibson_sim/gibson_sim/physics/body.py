@@ -16,7 +16,7 @@ from gibson_sim.geometry.transforms import Mat4, invert, matrices_from_poses, qu
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.engine_types import BulletBody
 from gibson_sim.physics.frames import FrameTable, right_multiplication
-from gibson_sim.physics.joint_motors import JointMotors, has_motor
+from gibson_sim.physics.joint_motors import JointMotors
 from gibson_sim.physics.kinematics import Chain
 from gibson_sim.physics.link_shapes import LinkShapes
 from gibson_sim.robots.joint_commands import JointCommand
@@ -68,11 +68,15 @@ class BodyInWorld:
     def load(self, bullet: Bullet) -> None:
         """Puts the body at its start, at rest, its joints where they start."""
         self.body: BulletBody = bullet.load_urdf(self._urdf, self.start, self.name, static=self.static, sleeps=self.sleeps)
-        for name, position in self._start_joints.items():
+        for name, position in self.model.with_followers(self._start_joints).items():
             if name not in self.body.joint_indices:
                 known = ", ".join(self.moving_joints) or "none"
                 raise PhysicsError(f"{self.name!r} has no joint {name!r} that moves; known: {known}")
             bullet.place_joint(self.body, self.body.joint_indices[name], position)
+        for joint in self.model.joints:
+            if joint.mimic is not None:
+                index = self.body.joint_indices
+                bullet.gear_joints(self.body, index[joint.name], index[joint.mimic.leader], joint.mimic)
         self.motors: JointMotors | None = None
         """None = no joint was ever commanded."""
         self._ready_motors(bullet)
@@ -86,7 +90,7 @@ class BodyInWorld:
     def command_joints(self, bullet: Bullet, command: JointCommand, now_ns: int) -> None:
         """Obeys ``command`` from the next step on; see ``JointMotors.command``."""
         if self.motors is None:
-            self.motors = JointMotors(self.body, [joint for joint in self.model.joints if has_motor(joint)])
+            self.motors = JointMotors(self.body, [joint for joint in self.model.joints if joint.has_motor])
         self.motors.command(bullet, command, now_ns)
 
     def forget_commands(self, bullet: Bullet, now_ns: int) -> None:

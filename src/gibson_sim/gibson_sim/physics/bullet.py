@@ -24,11 +24,16 @@ from gibson_sim.physics.frames import cross, product, turn
 from gibson_sim.physics.mesh_pieces import mesh_pieces
 from gibson_sim.physics.obj_text import to_obj
 from gibson_sim.physics.sleeping import Sleepers
+from gibson_sim.robots.mimic import Mimic
 from gibson_sim.types import Pose, Quat, Vec3
 
 _RAYS_PER_CALL = 16_000
 """PyBullet refuses batches above 16,384."""
 _FIRST_RAY_BIT = 6
+_GEAR_ERP = 0.5
+"""Part of its error by which a gear corrects itself in a step."""
+_GEAR_FORCE = 1e5
+"""N or N m: more than any motor has."""
 MAX_BODIES_WITH_RAYS = 24
 """Bodies that rays can leave out: each needs a bit of the 32-bit collision group; Bullet owns the lowest six."""
 
@@ -257,6 +262,19 @@ class Bullet:
         self._sleepers.wake_beside(body)
         p.resetJointState(body.uid, index, position, 0.0, physicsClientId=self.client)
         self._sleepers.wake_beside(body)
+
+    def gear_joints(self, body: BulletBody, follower: int, leader: int, mimic: Mimic) -> None:
+        """Lets a joint follow another one of its body as if gears connected them; either can push the other. They go with the body."""
+        ends = ([0.0, 0.0, 0.0],) * 3
+        gear = p.createConstraint(body.uid, follower, body.uid, leader, p.JOINT_GEAR, *ends, physicsClientId=self.client)
+        p.changeConstraint(
+            gear,
+            gearRatio=-mimic.multiplier,
+            relativePositionTarget=mimic.offset,
+            erp=_GEAR_ERP,
+            maxForce=_GEAR_FORCE,
+            physicsClientId=self.client,
+        )
 
     def damp_joint(self, body: BulletBody, index: int, damping: float) -> None:
         """Slows a joint by ``damping`` (N m s/rad or N s/m) times its speed."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.engine_types import BulletBody
@@ -18,17 +18,29 @@ _HOLD_EFFORT = 100.0
 class JointMotors:
     """Motors that obey joint commands within the limits of their joints."""
 
-    def __init__(self, body: BulletBody, joints: Sequence[UrdfJoint], others: Sequence[str] = ()) -> None:
+    def __init__(
+        self, body: BulletBody, joints: Sequence[UrdfJoint], others: Sequence[str] = (), efforts: Mapping[str, float] | None = None
+    ) -> None:
         """Commands nothing yet.
 
         Args:
             body: Has been loaded.
             joints: Those with motors.
             others: Joints that move, but obey others: for error messages.
+            efforts: N m or N, of joints that use less than they may unless a command says otherwise.
         """
         self._body = body
         self._control = JointControl(joints, others)
-        self._efforts = {joint.name: joint.effort or _HOLD_EFFORT for joint in joints}
+        self._efforts = {joint.name: joint.effort or _HOLD_EFFORT for joint in joints} | dict(efforts or {})
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Those that obey commands, in the order of the URDF."""
+        return self._control.names
+
+    def setpoint(self, name: str, now_ns: int) -> float | None:
+        """Returns where a joint shall be by its trajectory, radians or metres; None = it follows none (any more)."""
+        return self._control.setpoint(name, now_ns)
 
     @property
     def active(self) -> bool:
@@ -67,17 +79,12 @@ class JointMotors:
             efforts = [targets.efforts.get(name, self._efforts[name]) for name in targets.speeds]
             bullet.drive_joints(self._body, self._indices(targets.speeds), list(targets.speeds.values()), efforts)
         if targets.held:
-            self.hold(bullet, targets.held)
+            self.hold(bullet, targets.held, targets.efforts)
 
-    def hold(self, bullet: Bullet, positions: dict[str, float]) -> None:
-        """Lets motors hold joints at positions, radians or metres."""
-        efforts = [self._efforts[name] for name in positions]
+    def hold(self, bullet: Bullet, positions: Mapping[str, float], limits: Mapping[str, float] | None = None) -> None:
+        """Lets motors hold joints at positions, radians or metres, with at most ``limits`` (N m or N) where they are given."""
+        efforts = [(limits or {}).get(name, self._efforts[name]) for name in positions]
         bullet.hold_joints(self._body, self._indices(positions), list(positions.values()), efforts)
 
     def _indices(self, names: Iterable[str]) -> list[int]:
         return [self._body.joint_indices[name] for name in names]
-
-
-def has_motor(joint: UrdfJoint) -> bool:
-    """Returns whether a joint obeys commands: a continuous one that the URDF gives neither effort nor speed is a caster."""
-    return joint.kind in ("revolute", "prismatic") or (joint.kind == "continuous" and max(joint.effort, joint.velocity) > 0.0)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import CommandError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
+from gibson_sim.physics.frames import cross
 from gibson_sim.robots.urdf import UrdfJoint, UrdfModel
 
 F64 = NDArray[np.float64]
@@ -93,6 +94,8 @@ class Chain:
         self._path = [(joint, matrix_from_pose(joint.pose), np.array(joint.axis) / math.hypot(*joint.axis)) for joint in path]
         self.names = tuple(name for name in moving if joints is None or name in joints)
         """The joints that may move, the root's first."""
+        if not self.names:
+            raise CommandError(f"no joint of the chain to link {tip!r} may move; name at least one of {', '.join(moving)}")
         limits = {joint.name: _limits(joint) for joint in path}
         self._lower = np.array([limits[name][0] for name in self.names])
         self._upper = np.array([limits[name][1] for name in self.names])
@@ -100,6 +103,15 @@ class Chain:
     def pose(self, positions: Mapping[str, float]) -> Mat4:
         """Returns T_root_tip, (4, 4); joints that are not named are at 0."""
         return self._forward(positions)[0]
+
+    def jacobian(self, positions: Mapping[str, float]) -> tuple[Mat4, F64]:
+        """Returns T_root_tip, (4, 4), and what takes velocities of ``names`` to those of the tip, (6, J), linear then angular, root's axes."""
+        T_root_tip, axes = self._forward(positions)
+        rows = [axes[name] for name in self.names]
+        directions, origins = np.array([axis for axis, _, _ in rows]), np.array([origin for _, origin, _ in rows])
+        slides = np.array([[slides] for _, _, slides in rows])
+        linear = np.where(slides, directions, cross(directions, T_root_tip[:3, 3] - origins))
+        return T_root_tip, np.concatenate([linear, np.where(slides, 0.0, directions)], axis=1).T
 
     def solve(
         self,
@@ -116,7 +128,12 @@ class Chain:
             start: Where joints are now: the search begins there, and ends near there if it can; those not named are at 0.
             rest: Where joints shall be as far as the target leaves them free; those not named have no wish, None = none has.
             orientation: Whether it counts; False = the tip's origin alone shall be there.
+
+        Raises:
+            CommandError: a number of the target is not finite.
         """
+        if not np.isfinite(target).all():
+            raise CommandError("target of the chain has a number that is not finite; give a pose")
         now = np.clip(np.array([start.get(name, 0.0) for name in self.names]), self._lower, self._upper)
         wish = np.array([(rest or {}).get(name, np.nan) for name in self.names])
         rng = np.random.default_rng(0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.drive import DriveInWorld, without_friction
-from gibson_sim.physics.joint_motors import JointMotors, has_motor
+from gibson_sim.physics.joint_motors import JointMotors
 from gibson_sim.robots.drives import active_command, make_drive
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.robots.urdf import read_urdf
@@ -27,9 +27,9 @@ class RobotInWorld(BodyInWorld):
             self._driven = tuple(joint.name for joint in (*drive.wheels, *drive.steering))
             if drive.servo is not None:
                 model = without_friction(model, [joint.name for joint in drive.wheels])
-        self._motorised = tuple(joint for joint in model.joints if joint.name not in self._driven and has_motor(joint))
+        self._motorised = tuple(joint for joint in model.joints if joint.name not in self._driven and joint.has_motor)
         """What ``command_joints`` moves."""
-        super().__init__(bullet, spec.name, model, spec.start)
+        super().__init__(bullet, spec.name, model, spec.start, joints=spec.joints)
 
     def load(self, bullet: Bullet) -> None:
         """Puts the robot at its start, at rest."""
@@ -46,12 +46,14 @@ class RobotInWorld(BodyInWorld):
         self._step_start_ns = 0
 
     def _ready_motors(self, bullet: Bullet) -> None:
-        """Motors hold every joint but those of the drive at 0, or at the limit next to it; continuous ones turn freely."""
-        motors = JointMotors(self.body, self._motorised, self._driven)
+        """Motors hold joints where they start, but those of the drive, and continuous ones that are of no arm: these turn freely."""
+        grippers = [arm.gripper for arm in self.spec.manipulators if arm.gripper is not None]
+        efforts = {joint: gripper.max_effort for gripper in grippers for joint in gripper.joints}
+        motors = JointMotors(self.body, self._motorised, self._driven, efforts)
+        held = {*self._start_joints, *(name for arm in self.spec.manipulators for name in arm.joints)}
         for joint in self._motorised:
-            if joint.kind != "continuous":
-                start = min(max(0.0, joint.lower), joint.upper) if joint.lower <= joint.upper else 0.0
-                motors.hold(bullet, {joint.name: start})
+            if joint.kind != "continuous" or joint.name in held:
+                motors.hold(bullet, {joint.name: self._start_joints.get(joint.name, 0.0)})
         self.motors = motors
 
     def forget_commands(self, bullet: Bullet, now_ns: int) -> None:

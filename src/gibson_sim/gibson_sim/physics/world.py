@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import TracebackType
 from typing import Any
@@ -13,18 +12,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gibson_sim.errors import CommandError, ConfigError, PhysicsError
-from gibson_sim.geometry.transforms import Mat4, invert, matrix_from_pose
+from gibson_sim.geometry.transforms import Mat4
+from gibson_sim.physics.arm_commands import ArmCommands
+from gibson_sim.physics.arms import Arms
 from gibson_sim.physics.attachments import Attachments
 from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.engine_types import EngineContact
-from gibson_sim.physics.kinematics import ChainSolution
 from gibson_sim.physics.link_poses import LinkPoses, link_pose, link_twist
 from gibson_sim.physics.proximity import Neighbour, neighbours
 from gibson_sim.physics.robot import RobotInWorld
 from gibson_sim.physics.static_shapes import add_static_shapes
 from gibson_sim.robots.body import BodySpec
+from gibson_sim.robots.grasping import GraspSettings
 from gibson_sim.robots.joint_commands import JointCommand
+from gibson_sim.robots.servo import ServoSettings
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import NS_PER_S, Contact, JointStates, Odometry, Pose, SceneState, Vec3, VelocityCommand
@@ -32,13 +34,22 @@ from gibson_sim.types import NS_PER_S, Contact, JointStates, Odometry, Pose, Sce
 logger = logging.getLogger(__name__)
 
 
-class PhysicsWorld:
+class PhysicsWorld(ArmCommands):
     """Robots among static shapes, in steps of exactly ``1 / step_hz`` seconds.
 
     Equal scenes and equal calls give bit-equal states. Not thread-safe. Close it, or use it in a ``with`` statement.
     """
 
-    def __init__(self, scene: SceneSpec, *, step_hz: int = 240, cmd_vel_timeout: float = 0.5, seed: int = 0) -> None:
+    def __init__(
+        self,
+        scene: SceneSpec,
+        *,
+        step_hz: int = 240,
+        cmd_vel_timeout: float = 0.5,
+        seed: int = 0,
+        grasping: GraspSettings | None = None,
+        servo: ServoSettings | None = None,
+    ) -> None:
         """Loads the scene.
 
         Args:
@@ -46,6 +57,8 @@ class PhysicsWorld:
             step_hz: Physics steps for each second of simulation time.
             cmd_vel_timeout: Seconds of simulation time after which a command no longer counts.
             seed: Of the errors of wheel odometry.
+            grasping: How grippers hold; None = as ``GraspSettings`` has it.
+            servo: How tools move at a velocity; None = as ``ServoSettings`` has it.
 
         Raises:
             ConfigError: a setting is impossible.
@@ -75,6 +88,8 @@ class PhysicsWorld:
             self.warnings += add_static_shapes(self._bullet, scene)
             self._robots: dict[str, RobotInWorld] = {}
             self._bodies: dict[str, BodyInWorld] = {}
+            rules = grasping or GraspSettings(), servo or ServoSettings()
+            self._arms = Arms(self._bullet, self._robots, self._all, self.attachments, *rules)
             self._commanded: dict[str, BodyInWorld] = {}
             """Bodies, not robots, whose joints were told something."""
             for robot in scene.robots:
@@ -126,6 +141,7 @@ class PhysicsWorld:
         self.attachments.detach_all(name)
         self._bullet.remove(one.body)
         self._commanded.pop(name, None)
+        self._arms.remove(name)
         self._robots.pop(name, None)
         self._bodies.pop(name, None)
         self._changed(
@@ -192,35 +208,6 @@ class PhysicsWorld:
         """
         return neighbours(self._bullet, self._one(name), link, self._all(), radius)
 
-    def solve_chain(
-        self,
-        name: str,
-        link: str,
-        target: Pose,
-        *,
-        joints: Sequence[str] | None = None,
-        rest: Mapping[str, float] | None = None,
-        orientation: bool = True,
-    ) -> ChainSolution:
-        """Returns the joints that bring a link to ``target`` (T_world_link), the root standing where it is; nothing moves.
-
-        Args:
-            name: A robot or a body.
-            link: At the end of the chain.
-            target: Where it shall be.
-            joints: Those that may move; None = all between the root and the link.
-            rest: Where joints shall be as far as the target leaves them free.
-            orientation: Whether that of the target counts.
-
-        Raises:
-            PhysicsError: there is no such body.
-            CommandError: there is no such link or joint, or nothing moves the link.
-        """
-        one = self._one(name)
-        T_root_target = invert(matrix_from_pose(self.body_pose(name))) @ matrix_from_pose(target)
-        start = one.joint_positions(self._bullet)
-        return one.chain(link, joints).solve(T_root_target, start, rest=rest, orientation=orientation)
-
     @property
     def step_count(self) -> int:
         """Steps since load."""
@@ -252,6 +239,8 @@ class PhysicsWorld:
         one.command_joints(self._bullet, command, self.stamp_ns)
         if name in self._bodies:
             self._commanded[name] = one
+        else:
+            self._arms.notice(name, command, self.stamp_ns)
 
     def step(self, steps: int = 1) -> None:
         """Advances by ``steps``; limits and time-outs of the commands count in every one."""
@@ -261,6 +250,7 @@ class PhysicsWorld:
         self._poses.forget()
         for _ in range(steps):
             now_ns = self.stamp_ns
+            self._arms.before_step(now_ns, round(dt * NS_PER_S))
             for robot in robots:
                 robot.actuate(bullet, now_ns, self._timeout_ns, dt)
             for body in commanded:
@@ -269,6 +259,7 @@ class PhysicsWorld:
             self._step_count += 1
             for robot in robots:
                 robot.read_wheels(bullet, dt)
+            self._arms.after_step(self.stamp_ns)
 
     def state(self) -> SceneState:
         """Returns the poses of all links now; its arrays are read-only and stay as they are."""
@@ -327,6 +318,7 @@ class PhysicsWorld:
             self._bullet.remove(one.body)
         for one in self._all():
             one.load(self._bullet)
+        self._arms.reset()
         self._poses.forget()
         if not keep_time:
             self._step_count = 0
@@ -343,6 +335,7 @@ class PhysicsWorld:
         self._poses.forget()
         for one in (*self._robots.values(), *self._commanded.values()):
             one.forget_commands(self._bullet, self.stamp_ns)
+        self._arms.forget_commands()
 
     def close(self) -> None:
         """Frees the engine; a second call does nothing, any other use afterwards raises PhysicsError."""

@@ -52,7 +52,10 @@ class SceneCache:
     def path(self, visuals: Sequence[VisualSpec], links: Sequence[str], labels: Sequence[tuple[int, int]], coarser: bool) -> Path:
         """Returns the file for what is drawn; the arguments are those of ``build_batches``."""
         digest = hashlib.sha256(_MAGIC)
-        for part in (__version__, _code_digest(), simplifier() is not None, coarser, tuple(links), tuple(labels), *visuals):
+        used = {visual.link for visual in visuals}
+        # What comes behind the last link that is drawn, such as views, changes nothing.
+        count = max((number + 1 for number, link in enumerate(links) if link in used), default=0)
+        for part in (__version__, _code_digest(), simplifier() is not None, coarser, tuple(links)[:count], tuple(labels), *visuals):
             digest.update(repr(part).encode() + b"\0")
         return self._folder / f"{digest.hexdigest()[:32]}.scene"
 

@@ -335,12 +335,16 @@ class Renderer:
 
 
 def _alike(cameras: Sequence[CameraSpec]) -> list[tuple[tuple[Feature, ...], list[int]]]:
-    """Returns the numbers of the cameras by what is drawn for them: features, colours or none, samples."""
-    groups: dict[tuple[tuple[Feature, ...], bool, int], list[int]] = {}
+    """Returns the numbers of the cameras by what is drawn for them: features, colours or none, samples.
+
+    Those on bodies and those on none (views) stand apart: what a robot sees is the same, to the bit, with and without views beside it.
+    """
+    groups: dict[tuple[tuple[Feature, ...], bool, int, bool], list[int]] = {}
     for k, camera in enumerate(cameras):
         color = "rgb" in camera.outputs
-        groups.setdefault((features_of(camera.outputs), color, camera.samples if color else 1), []).append(k)
-    return [(features, numbers) for (features, _, _), numbers in groups.items()]
+        key = features_of(camera.outputs), color, camera.samples if color else 1, "/" in camera.link
+        groups.setdefault(key, []).append(k)
+    return [(features, numbers) for (features, *_), numbers in groups.items()]
 
 
 def _loaded(

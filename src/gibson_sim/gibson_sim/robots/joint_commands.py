@@ -20,9 +20,16 @@ class JointPositions:
     positions: Numbers
     names: tuple[str, ...] = ()
     """One for each number; empty = all joints that obey commands, in the order of the URDF."""
+    efforts: Numbers = ()
+    """The most that each motor uses, on the way and there, N m or N; 0, or none at all = what the joint allows."""
 
     def __post_init__(self) -> None:
         _check_row("joint positions", self.names, self.positions)
+        if self.efforts:
+            _check_count("joint positions", "efforts", len(self.efforts), len(self.positions))
+            _check_finite("joint positions: efforts", self.names, self.efforts)
+            if min(self.efforts) < 0.0:
+                raise CommandError(f"joint positions: an effort is {min(self.efforts):g}, must be 0 or more; 0 = what the joint allows")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +72,7 @@ class TrajectoryPoint:
 
 @dataclass(frozen=True, slots=True)
 class JointTrajectory:
-    """Joints shall pass through points (trajectory_msgs/JointTrajectory); without any, all joints stop where they are.
+    """Joints shall pass through points (trajectory_msgs/JointTrajectory); without any, they stop where they are: all, if none is named.
 
     Between two points: a quintic where both have accelerations, a cubic where both have velocities, else a straight line.
     """

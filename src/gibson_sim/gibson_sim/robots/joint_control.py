@@ -39,7 +39,7 @@ class JointTargets(NamedTuple):
     held: dict[str, float]
     """Radians or metres."""
     efforts: dict[str, float]
-    """N m or N: the most that motors in ``speeds`` use; those that are not in it use what their joint allows."""
+    """N m or N: the most that motors use; those that are not in it use what their joint allows."""
 
 
 class _Motion(Protocol):
@@ -85,7 +85,7 @@ class JointControl:
         """Replaces what the joints that it names are doing, from the state that they are in.
 
         Args:
-            command: What to do; a trajectory without points stops all joints.
+            command: What to do; a trajectory without points stops the joints that it names, or, without names, all.
             now_ns: Simulation time.
             positions: Of all ``names``, now.
             velocities: Of all ``names``, now.
@@ -97,9 +97,11 @@ class JointControl:
             new = self._trajectory(command, now_ns, positions, velocities)
         elif isinstance(command, JointPositions):
             new = {}
-            for joint, goal in self._rows(command.names, command.positions, "positions"):
+            efforts = command.efforts or (0.0,) * len(command.positions)
+            for (joint, goal), effort in zip(self._rows(command.names, command.positions, "positions"), efforts, strict=True):
                 _check_position(joint, goal, "")
-                new[joint.name] = _Goal(joint, goal, positions[joint.name])
+                _check_effort(joint, effort)
+                new[joint.name] = _Goal(joint, goal, positions[joint.name], effort or None)
         elif isinstance(command, JointEfforts):
             new = {}
             for joint, effort in self._rows(command.names, command.efforts, "efforts"):
@@ -117,16 +119,21 @@ class JointControl:
         speeds, held, efforts = {}, {}, {}
         for name, motion in list(self._motions.items()):
             end = motion.end(positions[name], now_ns)
+            if motion.effort is not None:
+                efforts[name] = motion.effort
             if end is not None:
                 held[name] = end
                 del self._motions[name]
                 continue
             speeds[name] = motion.speed(positions[name], now_ns, step_ns)
-            if motion.effort is not None:
-                efforts[name] = motion.effort
             if motion.effort == 0.0:  # let go once, it needs nobody
                 del self._motions[name]
         return JointTargets(speeds, held, efforts)
+
+    def setpoint(self, name: str, now_ns: int) -> float | None:
+        """Returns where a joint shall be by its trajectory, radians or metres; None = it follows none (any more)."""
+        motion = self._motions.get(name)
+        return motion.setpoint(now_ns) if isinstance(motion, _Path) else None
 
     def _rows(self, names: tuple[str, ...], row: tuple[float, ...], what: str) -> list[tuple[UrdfJoint, float]]:
         names = names or self.names
@@ -147,7 +154,8 @@ class JointControl:
         self, command: JointTrajectory, now_ns: int, positions: Mapping[str, float], velocities: Mapping[str, float]
     ) -> dict[str, _Motion]:
         if not command.points:
-            return {name: _Rest(positions[name]) for name in self._motions}
+            names = [self._joint(name).name for name in command.names] or self.active
+            return {name: _Rest(positions[name]) for name in names}
         start_ns = command.start_ns or now_ns
         out: dict[str, _Motion] = {}
         for i, name in enumerate(command.names):
@@ -211,10 +219,9 @@ class _Pushing(_Turning):
 class _Goal:
     """Goes to a position at the greatest speed."""
 
-    effort: float | None = None
-
-    def __init__(self, joint: UrdfJoint, goal: float, position: float) -> None:
+    def __init__(self, joint: UrdfJoint, goal: float, position: float, effort: float | None = None) -> None:
         self._fastest, self._goal, self._setpoint = joint.velocity or DEFAULT_SPEED, goal, position
+        self.effort = effort
 
     def speed(self, position: float, now_ns: int, step_ns: int) -> float:
         lead, change = self._fastest * _LEAD_S, self._fastest * step_ns / NS_PER_S
@@ -249,15 +256,15 @@ class _Path:
         self._segment = 0
 
     def speed(self, position: float, now_ns: int, step_ns: int) -> float:
-        now = self._at(now_ns)
-        return servo_speed(now, self._at(now_ns + step_ns), position, step_ns, self._fastest)
+        now = self.setpoint(now_ns)
+        return servo_speed(now, self.setpoint(now_ns + step_ns), position, step_ns, self._fastest)
 
     def end(self, position: float, now_ns: int) -> float | None:
         last = self._knots[-1]
         return last.position if now_ns >= last.time_ns and abs(position - last.position) < ARRIVED else None
 
-    def _at(self, time_ns: int) -> float:
-        """Returns the setpoint; a curve between two points may not leave the limits either."""
+    def setpoint(self, time_ns: int) -> float:
+        """Returns where the joint shall be; a curve between two points may not leave the limits either."""
         if time_ns <= self._knots[0].time_ns:
             return self._knots[0].position
         if time_ns >= self._knots[-1].time_ns:

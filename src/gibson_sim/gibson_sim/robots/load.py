@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -16,11 +16,14 @@ from gibson_sim.resources import find_robot
 from gibson_sim.robots.body import model_visuals
 from gibson_sim.robots.load_cameras import read_cameras
 from gibson_sim.robots.load_drive import read_drive
+from gibson_sim.robots.load_manipulators import MANIPULATOR_KEYS, read_manipulators, read_poses
 from gibson_sim.robots.load_sensors import SENSOR_KEYS, read_sensors
+from gibson_sim.robots.mesh_files import PACKAGE_SCHEME, resolve_mesh
 from gibson_sim.robots.rigid import MOVING_TYPES
 from gibson_sim.robots.settings import NAME, Settings, read_yaml
 from gibson_sim.robots.spec import RobotSpec, Shape
 from gibson_sim.robots.urdf import UrdfModel, read_urdf
+from gibson_sim.robots.xacro import plain_description
 from gibson_sim.types import (
     Pose,
 )
@@ -28,7 +31,7 @@ from gibson_sim.types import (
 logger = logging.getLogger(__name__)
 
 ROBOT_FILE = "robot.yaml"
-_ROBOT_KEYS = ("urdf", "base_link", "radius", "height", "drive", "cameras", *SENSOR_KEYS)
+_ROBOT_KEYS = ("urdf", "xacro_args", "base_link", "radius", "height", "drive", "cameras", *SENSOR_KEYS, *MANIPULATOR_KEYS)
 
 
 def load_robot(
@@ -50,7 +53,7 @@ def load_robot(
     path = _robot_file(path_or_name, find)
     robot = Settings(read_yaml(path), str(path))
     robot.check_keys(_ROBOT_KEYS)
-    model = read_urdf(path.parent / robot.text("urdf"))
+    model = read_urdf(_description(robot, path))
     for warning in model.warnings:
         logger.warning("%s", warning)
     for joint in model.joints:
@@ -59,8 +62,10 @@ def load_robot(
     base = robot.text("base_link", model.root)
     if base != model.root:
         raise RobotError(f"{path}: base_link is {base!r}, must be the root link of {model.path.name}, {model.root!r}")
-    radius, height = _size(model, robot)
     try:
+        drive = read_drive(robot, model)
+        poses, joints = read_poses(robot, model, drive)
+        radius, height = _size(model, robot, dict(joints))
         return RobotSpec(
             name=name,
             urdf=model.path,
@@ -69,12 +74,15 @@ def load_robot(
             visuals=model_visuals(model, name),
             fixed_transforms=tuple((j.parent, j.child, j.pose) for j in model.joints if j.kind == "fixed"),
             moving_joints=tuple((j.name, j.parent, j.child) for j in model.joints if j.kind != "fixed"),
-            drive=read_drive(robot, model),
+            drive=drive,
             radius=radius,
             height=height,
             cameras=read_cameras(robot, model, name),
             sensors=read_sensors(robot, model, name),
             start=start or Pose(),
+            joints=joints,
+            named_poses=poses,
+            manipulators=read_manipulators(robot, model, drive),
         )
     except ConfigError as error:
         raise RobotError(f"{path}: {error}") from error
@@ -92,11 +100,31 @@ def _robot_file(path_or_name: Path | str, find: Callable[[str], Path] | None) ->
     return path.absolute()
 
 
-def _size(model: UrdfModel, robot: Settings) -> tuple[float, float]:
-    """Returns (radius about the base's z axis, height above the floor) of the collision shapes, or what the file gives."""
+def _description(robot: Settings, path: Path) -> Path:
+    """Returns the plain URDF of a robot."""
+    name, section = robot.text("urdf"), robot.section("xacro_args")
+    arguments: dict[str, str] = {}
+    for key, value in {} if section is None else section.values.items():
+        if not isinstance(value, (str, int, float)):
+            raise RobotError(f"{robot.where}: xacro_args: {key} is {value!r}, must be a text, a number, true or false")
+        arguments[str(key)] = str(value).lower() if isinstance(value, bool) else str(value)
+    file = resolve_mesh(name, path) if name.startswith(PACKAGE_SCHEME) else path.parent / name
+    if file is None:
+        raise RobotError(
+            f"{robot.where}: urdf {name} is not found: no such package above {path.parent}, in $AMENT_PREFIX_PATH or installed "
+            "in Python, or no such file in it"
+        )
+    return plain_description(file, arguments)
+
+
+def _size(model: UrdfModel, robot: Settings, joints: Mapping[str, float]) -> tuple[float, float]:
+    """Returns (radius about the base's z axis, height above the floor) of the collision shapes, or what the file gives.
+
+    ``joints``: where they are at load, radians or metres.
+    """
     given = robot.numbers(("radius", "height"))
     radius, height, meshes = 0.0, 0.0, 0
-    transforms = model.transforms()
+    transforms = model.transforms(joints)
     for link in model.links:
         for collision in link.collisions:
             if collision.shape.kind == "mesh":

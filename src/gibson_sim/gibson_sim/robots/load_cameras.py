@@ -32,7 +32,7 @@ def read_cameras(robot: Settings, model: UrdfModel, name: str) -> tuple[CameraSp
     entries = robot.values.get("cameras") or []
     if not isinstance(entries, list):
         raise RobotError(f"{robot.where}: cameras must be a list, is {type(entries).__name__}")
-    return _cameras(entries, robot.where, lambda link: f"{name}/{model.link(link).name}")
+    return _cameras(_entries(entries, robot.where), robot.where, lambda link: f"{name}/{model.link(link).name}")
 
 
 def load_cameras(path: Path, links: Collection[str]) -> tuple[CameraSpec, ...]:
@@ -43,15 +43,13 @@ def load_cameras(path: Path, links: Collection[str]) -> tuple[CameraSpec, ...]:
         links: ``<body>/<link>``, all that a camera may be fixed to. The file may leave out the body where only one has such a link;
             ``map`` is the world.
 
+    Returns:
+        The cameras on links; those with a ``view`` are left out, see ``gibson_sim.scenes.load_views``.
+
     Raises:
         RobotError: the file cannot be read, or a key or a value is wrong; an unknown link is answered with those that there are.
     """
-    document = Settings(read_yaml(path), str(path))
-    if "urdf" not in document.values:  # else it is a robot.yaml, and its other keys are checked where robots are loaded
-        document.check_keys(("cameras",))
-    entries = document.values.get("cameras") or []
-    if not isinstance(entries, list) or not entries:
-        raise RobotError(f"{path}: cameras is {entries!r}, must be a list with at least one camera, as in a robot.yaml")
+    entries = [entry for entry in camera_entries(path) if "view" not in entry.values]
 
     def find(link: str) -> str:
         if link in (*links, WORLD):
@@ -68,15 +66,40 @@ def load_cameras(path: Path, links: Collection[str]) -> tuple[CameraSpec, ...]:
         raise RobotError(f"{path}: {error}") from error
 
 
-def _cameras(entries: list[Any], where: str, find_link: Callable[[str], str]) -> tuple[CameraSpec, ...]:
-    cameras = tuple(_camera(Settings(entry, f"{where}: cameras[{i}]"), find_link) for i, entry in enumerate(entries))
+def camera_entries(path: Path) -> list[Settings]:
+    """Returns the entries of the section ``cameras`` of a file, at least one.
+
+    Raises:
+        RobotError: the file cannot be read, or there are none.
+    """
+    document = Settings(read_yaml(path), str(path))
+    if "urdf" not in document.values:  # else it is a robot.yaml, and its other keys are checked where robots are loaded
+        document.check_keys(("cameras",))
+    entries = document.values.get("cameras") or []
+    if not isinstance(entries, list) or not entries:
+        raise RobotError(f"{path}: cameras is {entries!r}, must be a list with at least one camera, as in a robot.yaml")
+    return _entries(entries, str(path))
+
+
+def _entries(entries: list[Any], where: str) -> list[Settings]:
+    return [Settings(entry, f"{where}: cameras[{i}]") for i, entry in enumerate(entries)]
+
+
+def _cameras(entries: list[Settings], where: str, find_link: Callable[[str], str]) -> tuple[CameraSpec, ...]:
+    cameras = tuple(read_camera(entry, find_link) for entry in entries)
     names = [camera.name for camera in cameras]
     if len(set(names)) != len(names):
         raise RobotError(f"{where}: cameras are named {', '.join(names)}; names must differ")
     return cameras
 
 
-def _camera(settings: Settings, find_link: Callable[[str], str]) -> CameraSpec:
+def read_camera(settings: Settings, find_link: Callable[[str], str]) -> CameraSpec:
+    """Returns the camera of an entry; ``find_link`` returns the whole name of a link, empty = the world.
+
+    Raises:
+        RobotError: a key or a value is wrong.
+        ConfigError: the values do not make a camera.
+    """
     settings.check_keys(_CAMERA_KEYS)
     camera_name = settings.text("name")
     if not NAME.fullmatch(camera_name):

@@ -21,6 +21,10 @@ from gibson_sim.robots.urdf import UrdfJoint, UrdfLink, UrdfModel
 MOVING_TYPES = ("continuous", "revolute", "prismatic")
 DEFAULT_FRICTION = 0.5
 """Coulomb friction of links that give none; the engine multiplies it with that of the other body (static shapes: 1)."""
+MAX_MOVING_JOINTS = 121
+"""Of one body: the engine has room for 128 coordinates, of which the pose of the root takes seven."""
+MAX_JOINTS = 127
+"""The same, with fixed joints that hold links with a friction of their own."""
 _DEFAULT_ROOT_KG = 1.0
 _DEFAULT_LINK_KG = 0.05
 _DEFAULT_GYRATION = 0.05
@@ -87,8 +91,18 @@ def rigid_groups(model: UrdfModel, *, fixed_root: bool = False) -> tuple[tuple[R
         home[link.name] = group.name
         group.members[link.name] = T_group_link
         _add(group, link, T_group_link)
+    _check_count(model, [group.joint for group in groups.values() if group.joint is not None])
     warnings = [text for group in groups.values() for text in _check_mass(model, group) if group.joint or not fixed_root]
     return tuple(groups.values()), tuple(warnings)
+
+
+def _check_count(model: UrdfModel, joints: list[UrdfJoint]) -> None:
+    moving = sum(joint.kind in MOVING_TYPES for joint in joints)
+    if moving > MAX_MOVING_JOINTS or len(joints) > MAX_JOINTS:
+        raise RobotError(
+            f"{model.path}: has {moving} joints that move, and {len(joints) - moving} links with a friction of their own; at most "
+            f"{MAX_MOVING_JOINTS} can move and {MAX_JOINTS} be there in all; make those fixed that you do not need"
+        )
 
 
 def _group(link: UrdfLink, joint: UrdfJoint | None, parent: str = "", T_parent_group: Mat4 | None = None) -> RigidGroup:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from gibson_sim.robots.mimic import Mimic
 from gibson_sim.robots.spec import Shape
 from gibson_sim.robots.urdf import Inertial, UrdfJoint, UrdfLink, UrdfModel
 from gibson_sim.types import Pose, Vec3
@@ -17,7 +18,8 @@ def scaled_model(model: UrdfModel, factor: float) -> UrdfModel:
     if factor == 1.0:
         return model
     links = tuple(_link(link, factor) for link in model.links)
-    return replace(model, links=links, joints=tuple(_joint(joint, factor) for joint in model.joints))
+    leads = {joint.name: factor if joint.kind == "prismatic" else 1.0 for joint in model.joints}
+    return replace(model, links=links, joints=tuple(_joint(joint, factor, leads) for joint in model.joints))
 
 
 def _link(link: UrdfLink, factor: float) -> UrdfLink:
@@ -33,12 +35,22 @@ def _link(link: UrdfLink, factor: float) -> UrdfLink:
     )
 
 
-def _joint(joint: UrdfJoint, factor: float) -> UrdfJoint:
-    along = factor if joint.kind == "prismatic" else 1.0
+def _joint(joint: UrdfJoint, factor: float, leads: dict[str, float]) -> UrdfJoint:
+    along = leads[joint.name]
     # N s/m of a slide goes with the mass, N m s/rad of a hinge with the inertia.
     damping = joint.damping * factor ** (3 if joint.kind == "prismatic" else 5)
     pose = _pose(joint.pose, factor)
-    return replace(joint, pose=pose, lower=joint.lower * along, upper=joint.upper * along, damping=damping)
+    return replace(
+        joint, pose=pose, lower=joint.lower * along, upper=joint.upper * along, damping=damping, mimic=_mimic(joint, along, leads)
+    )
+
+
+def _mimic(joint: UrdfJoint, along: float, leads: dict[str, float]) -> Mimic | None:
+    """Returns what it follows, where its own motion is ``along`` times as far and that of its leader as ``leads`` says."""
+    if joint.mimic is None:
+        return None
+    multiplier = joint.mimic.multiplier * along / leads[joint.mimic.leader]
+    return replace(joint.mimic, multiplier=multiplier, offset=joint.mimic.offset * along)
 
 
 def _shape(shape: Shape, factor: float) -> Shape:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from gibson_sim.errors import ConfigError
+from gibson_sim.errors import ConfigError, RobotError
 from gibson_sim.robots.drive_spec import DriveSpec
+from gibson_sim.robots.manipulator_spec import ManipulatorSpec, NamedPose
 from gibson_sim.robots.sensor_specs import SensorSpecs
 from gibson_sim.types import CameraSpec, Pose, Rgba, Vec3
 
@@ -123,9 +124,31 @@ class RobotSpec:
     """Sensors other than cameras."""
     start: Pose = field(default_factory=Pose)
     """T_world_base at load and after a reset."""
+    joints: tuple[tuple[str, float], ...] = ()
+    """Names of joints and where they are at load and after a reset, radians or metres; those that are not named are at 0."""
+    named_poses: tuple[NamedPose, ...] = ()
+    manipulators: tuple[ManipulatorSpec, ...] = ()
+    """Arms, in the order of the file."""
     namespace: str = ""
     """Of all its topics; empty = none."""
     frame_prefix: str = ""
     """Stands before the names of its tf frames, e.g. ``left/``; empty = frames as in the URDF."""
     own_tf: bool = False
     """Its transforms are on ``tf`` and ``tf_static`` in its namespace, not on the common ``/tf``."""
+
+    def named_pose(self, name: str) -> NamedPose:
+        """Returns the pose of this name, or raises RobotError that lists the known ones."""
+        for pose in self.named_poses:
+            if pose.name == name:
+                return pose
+        raise RobotError(
+            f"robot {self.name!r} has no pose {name!r}; known: {', '.join(p.name for p in self.named_poses) or 'none'}"
+        )
+
+    def manipulator(self, name: str = "") -> ManipulatorSpec:
+        """Returns the arm of this name, "" = the first one; raises RobotError that lists the known ones."""
+        for arm in self.manipulators:
+            if name in ("", arm.name):
+                return arm
+        known = ", ".join(arm.name for arm in self.manipulators) or "none"
+        raise RobotError(f"robot {self.name!r} has no manipulator {name!r}; known: {known}")

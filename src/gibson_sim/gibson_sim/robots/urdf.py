@@ -7,139 +7,27 @@ missing, a shape of unknown kind) is left out, with one line in ``UrdfModel.warn
 from __future__ import annotations
 
 import math
-import os
-import re
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
 
 from gibson_sim.errors import RobotError
-from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, pose_from_xyz_rpy
+from gibson_sim.robots.mesh_files import resolve_mesh
+from gibson_sim.robots.mimic import Mimic, leaders
 from gibson_sim.robots.omissions import Omission, OmissionKind
 from gibson_sim.robots.spec import Shape
-from gibson_sim.types import Pose, Rgba, Vec3
+from gibson_sim.robots.urdf_model import JOINT_TYPES, Inertial, UrdfCollision, UrdfJoint, UrdfLink, UrdfModel, UrdfVisual
+from gibson_sim.robots.xacro import is_xacro, with_defaults
+from gibson_sim.robots.xml_values import XmlValues
+from gibson_sim.types import Rgba
 
-JOINT_TYPES = ("fixed", "continuous", "revolute", "prismatic", "floating", "planar")
+__all__ = [
+    "JOINT_TYPES", "FindMesh", "Inertial", "UrdfCollision", "UrdfJoint", "UrdfLink", "UrdfModel", "UrdfVisual", "parse_urdf", "read_urdf",
+]  # fmt: skip
+
 FindMesh = Callable[[str, Path], Path | None]
 """Takes what a URDF names and the URDF's path to the absolute path of a file, or None when there is none."""
-_PACKAGE = "package://"
-_FILE = "file://"
-_LEVELS_UP = 3
-_XACRO = b"<xacro:"
-_NO_ELEMENTS = re.compile(rb"<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>", re.DOTALL)
-
-
-@dataclass(frozen=True, slots=True)
-class UrdfVisual:
-    """A shape to be drawn."""
-
-    shape: Shape
-    pose: Pose
-    """T_link_visual."""
-    color: Rgba | None
-    """sRGB and alpha of its material; None = the material names none."""
-
-
-@dataclass(frozen=True, slots=True)
-class UrdfCollision:
-    """A shape that is bumped into."""
-
-    shape: Shape
-    pose: Pose
-    """T_link_shape."""
-
-
-@dataclass(frozen=True, slots=True)
-class Inertial:
-    """Mass of one link."""
-
-    mass: float
-    """kg."""
-    pose: Pose
-    """T_link_inertial: its position is the centre of mass."""
-    inertia: tuple[float, float, float, float, float, float]
-    """ixx, ixy, ixz, iyy, iyz, izz in the inertial frame, kg m^2."""
-
-
-@dataclass(frozen=True, slots=True)
-class UrdfLink:
-    """One rigid link."""
-
-    name: str
-    visuals: tuple[UrdfVisual, ...] = ()
-    collisions: tuple[UrdfCollision, ...] = ()
-    inertial: Inertial | None = None
-    friction: float | None = None
-    """Coulomb friction from ``<contact><lateral_friction value=""/></contact>`` (an extension of Bullet); None = not given."""
-    rolling_friction: float = 0.0
-    """Metres: what holds a round link back, from ``<rolling_friction value=""/>`` beside it."""
-    spinning_friction: float = 0.0
-    """Metres: the same about the normal of a contact, from ``<spinning_friction value=""/>``."""
-
-
-@dataclass(frozen=True, slots=True)
-class UrdfJoint:
-    """One joint, at zero its child frame is at ``pose`` in the parent's."""
-
-    name: str
-    kind: str
-    """One of ``JOINT_TYPES``."""
-    parent: str
-    child: str
-    pose: Pose
-    """T_parent_child at joint position 0."""
-    axis: Vec3
-    """Unit vector, child frame."""
-    lower: float = 0.0
-    """Radians or metres; lower > upper = no limit."""
-    upper: float = -1.0
-    effort: float = 0.0
-    """N m or N; 0 = not given."""
-    velocity: float = 0.0
-    """rad/s or m/s; 0 = not given."""
-    damping: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class UrdfModel:
-    """A checked tree of links."""
-
-    name: str
-    path: Path
-    links: tuple[UrdfLink, ...]
-    """The root first, each parent before its children."""
-    joints: tuple[UrdfJoint, ...]
-    """In the order of the file."""
-    warnings: tuple[str, ...] = field(default=())
-
-    @property
-    def root(self) -> str:
-        """Name of the link without a parent."""
-        return self.links[0].name
-
-    def link(self, name: str) -> UrdfLink:
-        """Returns the link of this name, or raises RobotError that lists the known ones."""
-        for link in self.links:
-            if link.name == name:
-                return link
-        raise RobotError(f"{self.path}: no link {name!r}; known: {', '.join(link.name for link in self.links)}")
-
-    def joint(self, name: str) -> UrdfJoint:
-        """Returns the joint of this name, or raises RobotError that lists the known ones."""
-        for joint in self.joints:
-            if joint.name == name:
-                return joint
-        raise RobotError(f"{self.path}: no joint {name!r}; known: {', '.join(joint.name for joint in self.joints)}")
-
-    def transforms(self) -> dict[str, Mat4]:
-        """Returns T_root_link, (4, 4), of every link with all joints at 0."""
-        by_child = {joint.child: joint for joint in self.joints}
-        out = {self.root: matrix_from_pose(Pose())}
-        for link in self.links[1:]:
-            joint = by_child[link.name]
-            out[link.name] = out[joint.parent] @ matrix_from_pose(joint.pose)
-        return out
 
 
 def read_urdf(path: Path | str, find: FindMesh | None = None) -> UrdfModel:
@@ -175,7 +63,7 @@ def parse_urdf(text: str | bytes, source: Path, find: FindMesh | None = None) ->
     """
     xacro = f"{source.absolute()}: is a xacro, not a URDF; expand it first: xacro {source.name} > robot.urdf"
     try:
-        top = ET.fromstring(text)
+        top = ET.fromstring(with_defaults(text.encode("utf-8", errors="replace") if isinstance(text, str) else text))
     # A text that says it is UTF-16 is no such thing.
     except (ET.ParseError, ValueError, LookupError) as error:
         raise RobotError(xacro if is_xacro(text) else f"{source}: is not XML: {error}") from error
@@ -184,40 +72,27 @@ def parse_urdf(text: str | bytes, source: Path, find: FindMesh | None = None) ->
     return _Reader(source, find or resolve_mesh).model(top)
 
 
-def is_xacro(text: str | bytes, top: ET.Element | None = None) -> bool:
-    """Returns whether a description has elements that only xacro understands: includes, properties, calls of macros.
-
-    Their prefix tells: the namespace that it stands for is not the same everywhere, and a part of a file often names none.
-
-    Args:
-        text: the XML.
-        top: of it; None = it is not well-formed.
-    """
-    data = text.encode("utf-8", errors="replace") if isinstance(text, str) else text
-    if top is None or _XACRO not in data:
-        return _XACRO in data
-    return _XACRO in _NO_ELEMENTS.sub(b"", data)
-
-
-class _Reader:
+class _Reader(XmlValues):
     """Turns the XML of one file into values; gathers warnings on the way."""
 
     def __init__(self, path: Path, find: FindMesh) -> None:
-        self.path = path.absolute()
+        super().__init__(path)
         self.find = find
         self.warnings: list[str] = []
-        self.colors: dict[str, Rgba] = {}
+        self.colors: dict[str, Rgba | None] = {}
+        """None = a texture alone."""
 
     def model(self, top: ET.Element) -> UrdfModel:
         if top.tag != "robot":
             raise RobotError(f"{self.path}: the outermost element is <{top.tag}>, a URDF has <robot>")
         for material in top.iter("material"):
             color = material.find("color")
-            if color is not None:
-                self.colors.setdefault(material.get("name", ""), self.rgba(color))
+            if color is not None or material.find("texture") is not None:
+                self.colors.setdefault(material.get("name", ""), None if color is None else self.rgba(color))
         links = [self.link(element) for element in top.findall("link")]
         joints = [self.joint(element) for element in top.findall("joint")]
         ordered = self.tree(links, joints)
+        joints = self.led(joints)
         return UrdfModel(top.get("name", self.path.stem), self.path, ordered, tuple(joints), tuple(self.warnings))
 
     def tree(self, links: list[UrdfLink], joints: list[UrdfJoint]) -> tuple[UrdfLink, ...]:
@@ -255,6 +130,12 @@ class _Reader:
             lost = [name for name in by_name if name not in set(order)]
             raise RobotError(f"{self.path}: links {', '.join(lost)} form a cycle that the root {roots[0]!r} does not reach")
         return tuple(by_name[name] for name in order)
+
+    def led(self, joints: list[UrdfJoint]) -> list[UrdfJoint]:
+        """Returns the joints, those that mimic others with the one that they follow in the end."""
+        moving = [joint.name for joint in joints if joint.kind != "fixed"]
+        followed = leaders({joint.name: joint.mimic for joint in joints if joint.mimic is not None}, moving, str(self.path))
+        return [replace(joint, mimic=followed.get(joint.name)) for joint in joints]
 
     def unique(self, what: str, names: Iterable[str]) -> None:
         seen: set[str] = set()
@@ -308,19 +189,27 @@ class _Reader:
         if kind != "fixed" and length < 1e-9:
             raise RobotError(f"{self.path}: {where} has axis (0, 0, 0), which is no direction")
         unit = (axis[0] / length, axis[1] / length, axis[2] / length) if length > 1e-9 else (1.0, 0.0, 0.0)
-        if element.find("mimic") is not None:
-            self.warnings.append(f"{self.path.name}: {where}: <mimic> is not followed, the joint moves by itself")
         limit, damping = element.find("limit"), element.find("dynamics")
         lower, upper, effort, velocity = 0.0, -1.0, 0.0, 0.0
         if limit is not None:
             effort = self.optional(limit, "effort", where)
             velocity = self.optional(limit, "velocity", where)
+            if min(effort, velocity) < 0:
+                raise RobotError(f"{self.path}: {where}: effort is {effort:g} and velocity {velocity:g}, neither may be negative")
             if kind in ("revolute", "prismatic"):
                 lower, upper = self.optional(limit, "lower", where), self.optional(limit, "upper", where)
         return UrdfJoint(
             name, kind, ends[0], ends[1], self.origin(element, where), unit, lower, upper, effort, velocity,
-            0.0 if damping is None else self.optional(damping, "damping", where),
+            0.0 if damping is None else self.optional(damping, "damping", where), self.mimic(element.find("mimic"), kind, where),
         )  # fmt: skip
+
+    def mimic(self, element: ET.Element | None, kind: str, where: str) -> Mimic | None:
+        if element is None or kind == "fixed":
+            return None
+        if not element.get("joint"):
+            raise RobotError(f"{self.path}: {where}: <mimic> names no joint")
+        multiplier = self.optional(element, "multiplier", where, 1.0)
+        return Mimic(element.get("joint", ""), multiplier, self.optional(element, "offset", where))
 
     def inertial(self, element: ET.Element | None, where: str) -> Inertial | None:
         if element is None:
@@ -356,6 +245,8 @@ class _Reader:
             return Shape("cylinder", (radius, length, 0.0))
         if item.tag == "mesh":
             scale = self.vector(item, "scale", where) if item.get("scale") else (1.0, 1.0, 1.0)
+            if 0.0 in scale:
+                raise RobotError(f"{self.path}: {where}: scale {scale} makes the mesh flat; no factor may be 0")
             name = self.text(item, "filename")
             found = self.find(name, self.path)
             if found is not None:
@@ -381,64 +272,3 @@ class _Reader:
     def rgba(self, element: ET.Element) -> Rgba:
         r, g, b, a = (min(max(c, 0.0), 1.0) for c in self.numbers(element, "rgba", 4, "material"))
         return (r, g, b, a)
-
-    def origin(self, element: ET.Element, where: str) -> Pose:
-        item = element.find("origin")
-        if item is None:
-            return Pose()
-        zero = (0.0, 0.0, 0.0)
-        xyz = self.vector(item, "xyz", where) if item.get("xyz") else zero
-        rpy = self.vector(item, "rpy", where) if item.get("rpy") else zero
-        return pose_from_xyz_rpy(xyz, rpy)
-
-    def positive(self, values: tuple[float, ...], where: str) -> tuple[float, ...]:
-        if min(values) <= 0:
-            raise RobotError(f"{self.path}: {where}: size {values} must be above 0 in every direction")
-        return values
-
-    def text(self, element: ET.Element, key: str) -> str:
-        value = element.get(key, "").strip()
-        if not value:
-            raise RobotError(f"{self.path}: a <{element.tag}> has no {key}")
-        return value
-
-    def vector(self, element: ET.Element, key: str, where: str) -> Vec3:
-        x, y, z = self.numbers(element, key, 3, where)
-        return (x, y, z)
-
-    def optional(self, element: ET.Element, key: str, where: str) -> float:
-        return self.numbers(element, key, 1, where)[0] if element.get(key) else 0.0
-
-    def numbers(self, element: ET.Element, key: str, count: int, where: str) -> tuple[float, ...]:
-        raw = element.get(key, "")
-        try:
-            values = tuple(float(part) for part in raw.split())
-        except ValueError:
-            values = ()
-        if len(values) != count or not all(map(math.isfinite, values)):
-            wanted = "a finite number" if count == 1 else f"{count} finite numbers"
-            raise RobotError(f'{self.path}: {where}: <{element.tag} {key}="{raw}">, must be {wanted}')
-        return values
-
-
-def resolve_mesh(name: str, urdf: Path) -> Path | None:
-    """Returns the absolute path of the mesh that a URDF names, or None when there is no such file.
-
-    ``package://<package>/<rest>`` is looked for beside the URDF, in its parent folders, and in ``$AMENT_PREFIX_PATH``; other
-    names are relative to the URDF's folder, or to one of the three above it.
-    """
-    if name.startswith(_FILE):
-        name = name[len(_FILE) :]
-    if not name.startswith(_PACKAGE):
-        above = [folder for folder in urdf.parents[1 : _LEVELS_UP + 1] if folder != folder.parent]
-        paths = (Path(os.path.normpath(folder / name)) for folder in (urdf.parent, *above))
-        return next((path for path in paths if path.is_file()), None)
-    package, _, rest = name[len(_PACKAGE) :].partition("/")
-    candidates: list[Path] = []
-    for folder in urdf.parents:
-        if folder.name == package:
-            candidates.append(folder / rest)
-        candidates.append(folder / package / rest)
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-    candidates += [Path(prefix) / "share" / package / rest for prefix in prefixes if prefix]
-    return next((path for path in candidates if path.is_file()), None)

@@ -1,4 +1,4 @@
-"""Static transforms to the optical frames of cameras that a recorded robot did not have."""
+"""Transforms to the optical frames of cameras that a recorded run did not have: of fixed ones, and of views, which move."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from tf2_msgs.msg import TFMessage
 from gibson_sim.bags.reader import BagReader
 from gibson_sim.ros import conversions, names
 from gibson_sim.ros.exact_bytes import exact_bytes
+from gibson_sim.ros.fast_publish import FastTf
 from gibson_sim.scenes.spec import WORLD_FRAME
-from gibson_sim.types import CameraSpec
+from gibson_sim.types import CameraSpec, Pose
 
-_TF_TYPE = "tf2_msgs/msg/TFMessage"
+TF_TYPE = "tf2_msgs/msg/TFMessage"
 _A_FEW = 100
 
 
@@ -30,7 +31,7 @@ class CameraTransforms:
 
     def __init__(self, bag: BagReader, cameras: Sequence[CameraSpec], copied: Sequence[str]) -> None:
         self._added: dict[str, list[TransformStamped]] = {}
-        topics = [t for t, info in bag.topics().items() if info.type_name == _TF_TYPE and t in copied]
+        topics = [t for t, info in bag.topics().items() if info.type_name == TF_TYPE and t in copied]
         statics = [topic for topic in topics if topic.endswith("tf_static")]
         if not cameras or not statics:
             return
@@ -53,6 +54,21 @@ class CameraTransforms:
         message = deserialize_message(data, TFMessage)
         message.transforms = [*message.transforms, *added]
         return exact_bytes(message)
+
+
+class ViewTransforms:
+    """Makes the messages on ``/tf`` of views."""
+
+    def __init__(self) -> None:
+        self._frames: tuple[str, ...] = ()
+        self._tf = FastTf(())
+
+    def message(self, cameras: Sequence[CameraSpec], poses: Sequence[Pose], stamp_ns: int) -> bytes:
+        """Returns the message of T_world_optical of each camera, with a stamp."""
+        frames = tuple(camera.optical_frame for camera in cameras)
+        if frames != self._frames:
+            self._frames, self._tf = frames, FastTf([(WORLD_FRAME, frame) for frame in frames])
+        return self._tf.serialize(stamp_ns, [(*pose.position, *pose.quat_xyzw) for pose in poses])
 
 
 def _parent(camera: CameraSpec, topic: str, frames: set[str]) -> str:

@@ -43,10 +43,15 @@ class DeferredService:
     def __init__(
         self, node: Node, kind: Any, name: str, handle: Callable[[Any, Any], Any], *, callback_group: CallbackGroup | None = None
     ) -> None:
+        self._node = node
         self._service = node.create_service(kind, name, handle, callback_group=callback_group)
         self._send_now = self._service.send_response
         # Both executors look this up on the service, and call it with what the handler returned.
         self._service.send_response = self._send
+
+    def destroy(self) -> None:
+        """Takes the service back; what was not answered never will be."""
+        self._node.destroy_service(self._service)
 
     def _send(self, response: Any, header: Any) -> None:
         if isinstance(response, Later):

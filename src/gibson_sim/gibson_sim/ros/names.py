@@ -10,6 +10,10 @@ TF_STATIC = "/tf_static"
 CMD_VEL = "cmd_vel"
 JOINT_TRAJECTORY = "joint_trajectory"
 JOINT_COMMAND = "joint_command"
+GRASP = "grasp"
+GRASP_STATE = "grasp_state"
+CONTACTS = "contacts"
+COLLISIONS = "collisions"
 ODOM = "odom"
 GROUND_TRUTH = "ground_truth/odom"
 JOINT_STATES = "joint_states"
@@ -33,6 +37,16 @@ ODOM_FRAME = "odom"
 def link_name(name: str) -> str:
     """Returns the tf frame of ``<body>/<link>``, without a prefix."""
     return name.rpartition("/")[2]
+
+
+def controller(name: str, what: str) -> str:
+    """Returns a topic or an action of the controller of an arm or a gripper."""
+    return f"{name}_controller/{what}"
+
+
+def servo(arm: str) -> str:
+    """Returns the topic of the velocities of an arm's tool."""
+    return f"{arm}_servo/delta_twist_cmds"
 
 
 def floor_map(number: int) -> str:

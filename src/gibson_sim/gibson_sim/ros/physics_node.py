@@ -13,16 +13,14 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.timer import Timer
-from rosgraph_msgs.msg import Clock as ClockMsg
 
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import AlreadyRunningError, ConfigError
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.resources import find_config
-from gibson_sim.ros import names, qos
+from gibson_sim.ros import names
 from gibson_sim.ros.digest_publisher import DigestPublisher
 from gibson_sim.ros.executor import make_executor
-from gibson_sim.ros.fast_publish import FastClock
 from gibson_sim.ros.journal import Journal
 from gibson_sim.ros.lockstep_gate import LockstepGate
 from gibson_sim.ros.node_main import goes_on, run_node, started_by_launcher, wait_for_subscribers, write_summary
@@ -33,15 +31,13 @@ from gibson_sim.ros.robot_interface import RobotInterface
 from gibson_sim.ros.run_info import publish_run_info
 from gibson_sim.ros.simulation_services import SimulationServices
 from gibson_sim.ros.stamped_commands import StampedCommands
+from gibson_sim.ros.tick_publisher import TickPublisher
 from gibson_sim.ros.world_interface import WorldInterface
 from gibson_sim.scenes.placement import populate
 from gibson_sim.scenes.randomise_yaml import load_rules
-from gibson_sim.sensors.schedule import is_due
-from gibson_sim.sensors.suite import Measurements
-from gibson_sim.simulation.lockstep import CAMERAS
 from gibson_sim.simulation.simulator import Simulator
 from gibson_sim.simulation.states import SimulationState
-from gibson_sim.types import NS_PER_S, CameraSpec, SceneState
+from gibson_sim.types import NS_PER_S
 
 _MOST_TICKS_OF_LOCKSTEP = 64
 """Ticks that nobody answers to, made in one turn."""
@@ -55,12 +51,11 @@ class PhysicsNode(Node):
     Parameters: the fields of ``gibson_sim.config.PhysicsConfig``; ``rate`` may be changed while it runs.
 
     Publishes:
-        /clock (rosgraph_msgs/Clock) at ``clock_hz``, and with whatever else is published.
         real_time_factor (std_msgs/Float64): simulation time over wall time, once a second of wall time.
         /diagnostics (diagnostic_msgs/DiagnosticArray): what ``PhysicsStats`` knows, once a second of wall time.
         run_info (gibson_msgs/RunInfo, latched): settings and surroundings.
         tick_digest (gibson_msgs/TickDigest), with ``digests``: numbers of all that a tick holds.
-        And what ``WorldInterface``, ``Journal``, and, for each robot, ``RobotInterface`` list.
+        And what ``TickPublisher`` and ``Journal`` list.
 
     Subscribes, with ``lockstep``, to what ``LockstepGate`` lists.
 
@@ -85,22 +80,19 @@ class PhysicsNode(Node):
         self._simulator = Simulator(scene, config)
         ticks_at_once = _MOST_TICKS_OF_LOCKSTEP if config.lockstep else 1
         self._pacer = Pacer(config.step_hz, config.rate, burst=ticks_at_once * config.step_hz // config.publish_hz)
-        self._clock_message = FastClock()
-        self._clock_pub = self.create_publisher(ClockMsg, names.CLOCK, **qos.overridable(qos.CLOCK))
         self._stamped = StampedCommands(self)
         self._journal = Journal(self, self._simulator, self._on_input)
         self._digests = DigestPublisher(self) if config.digests else None
         self._world_topics = WorldInterface(self, config, rules)
+        self._robots: dict[str, RobotInterface] = {}
+        self._ticks = TickPublisher(self, config, self._simulator, self._robots, self._world_topics, self._digests)
         self._gate: LockstepGate | None = None
         if config.lockstep:
-            self._gate = LockstepGate(self, config, self._on_tick_done, self._publish_again)
+            self._ticks.gate = self._gate = LockstepGate(self, config, self._on_tick_done, self._ticks.publish_again)
         self._stats = PhysicsStats(self, config, self._simulator, self._pacer, self._journal, self._gate)
-        self._robots: dict[str, RobotInterface] = {}
         self._seen: tuple[PhysicsWorld | None, int] = (None, -1)
         self._seen_epoch = -1
         self._timer: Timer | None = None
-        self._due: tuple[CameraSpec, ...] = ()
-        self._last_tick: tuple[SceneState, dict[RobotInterface, Measurements]] | None = None
         self._done = False
         self._standard = SimulationServices(self, self.simulator, config.service_prefix, self._journal.note)
         self._follow_changes()
@@ -166,6 +158,8 @@ class PhysicsNode(Node):
 
     def _enter(self, world: PhysicsWorld | None, *, new: bool) -> None:
         """Gives every robot its topics, takes back those of robots that are gone, and publishes the scene."""
+        if new:
+            self._ticks.forget()
         kept = set() if world is None or new else {robot.name for robot in world.scene.robots}
         for name in [name for name in self._robots if name not in kept]:
             self._robots.pop(name).close()
@@ -185,6 +179,7 @@ class PhysicsNode(Node):
         simulator = self.simulator
         world = simulator.world
         self._pacer.restart()
+        self._ticks.forget()
         if self._gate is not None:
             self._gate.restart()
         if self._digests is not None:
@@ -195,7 +190,7 @@ class PhysicsNode(Node):
         reset = simulator.last_reset
         self._world_topics.publish_epoch(simulator.epoch, stamp_ns, reset.scope, rewound=reset.rewound)
         if reset.rewound:
-            self._clock_pub.publish(self._clock_message.serialize(stamp_ns))
+            self._ticks.publish_clock(stamp_ns)
         self._stats.restart(stamp_ns)
 
     # Time
@@ -250,21 +245,54 @@ class PhysicsNode(Node):
             assert self._stamped is not None
             for topic in self._stamped.arrived():
                 gate.core.receive(topic.lstrip("/"), now_ns)
-        left = 0
         if gate is None or gate.may_go():
             # Not while a tick waits: a renderer that has the next scene already could not draw it.
             self._follow_changes()
             self._take_planned()
             left = simulator.steps_due(self._pacer.due(now_ns))
-        while left and not self._done:
-            self._step(now_ns)
-            left -= 1
-            waits = gate is not None and not gate.core.is_open
-            if waits or self._take_planned():
-                if simulator.state is SimulationState.PLAYING:
-                    self._pacer.give_back(left)
-                break
+            left = self._pipeline(now_ns, left) if self._config.pipelined else self._make_steps(now_ns, left)
+            if left and simulator.state is SimulationState.PLAYING:
+                self._pacer.give_back(left)
         self._done = self._done or (self._standard is not None and self._standard.quit_is_answered)
+
+    def _make_steps(self, now_ns: int, left: int) -> int:
+        """Makes steps and publishes what is due at them, until a tick waits for others; returns how many of ``left`` are left."""
+        while left and not self._done:
+            for robot in self._robots.values():
+                robot.keep_commands()
+            self._step(now_ns)
+            world = self.simulator.world
+            assert world is not None
+            self._ticks.publish(world)
+            self._done = self._is_last(world.stamp_ns)
+            left -= 1
+            if (self._gate is not None and not self._gate.core.is_open) or self._take_planned():
+                break
+        return left
+
+    def _pipeline(self, now_ns: int, left: int) -> int:
+        """Publishes the tick that was made while the others did the one before, and makes the next one while they do this one.
+
+        The commands that answer a tick are obeyed not in the next tick, which is made already, but in the one after it.
+        """
+        gate, world = self._gate, self.simulator.world
+        assert gate is not None, "the settings allow a pipeline in lockstep alone"
+        while world is not None and not self._done:
+            if self._ticks.holds_tick:
+                if not gate.core.is_open:
+                    break
+                # Before it is published: an answer to it must not slip in.
+                for robot in self._robots.values():
+                    robot.keep_commands()
+                self._ticks.release(world)
+                self._done = self._is_last(world.stamp_ns)
+            if not left or self._done:
+                break
+            while left and not self._ticks.holds_tick:
+                self._step(now_ns)
+                self._ticks.hold(world)
+                left -= 1
+        return left
 
     def _on_tick_done(self) -> None:
         """Makes the next tick now, not when the timer says so."""
@@ -298,68 +326,18 @@ class PhysicsNode(Node):
         return requested
 
     def _step(self, now_ns: int) -> None:
-        """Makes one step and publishes what is due at it."""
+        """Makes one step."""
         world = self.simulator.world
         assert world is not None, "steps are due in a world alone"
         self._stats.begin_step(now_ns, world.stamp_ns)
         for robot in self._robots.values():
             robot.take_commands(world, self._journal)
         self.simulator.step()
-        config, step, stamp_ns = self._config, world.step_count, world.stamp_ns
-        ticks = config.step_hz // config.publish_hz
-        asked_for = self.simulator.state is not SimulationState.PLAYING
-        if is_tick := step % ticks == 0:
-            self._begin_tick(world, step // ticks)
-        measured = {robot: robot.sensors.measure(world, step, stamp_ns) for robot in self._robots.values()}
-        if not is_tick and (asked_for or is_due(step, config.clock_hz, config.step_hz) or any(measured.values())):
-            self._clock_pub.publish(self._clock_message.serialize(stamp_ns))
-        for robot, measurements in measured.items():
-            if measurements:
-                robot.publish_sensors(measurements, self._digests)
-        if is_tick:
-            self._end_tick(world.state(), measured)
-        self._stats.end_step(stamp_ns)
-        self._done = bool(config.duration) and stamp_ns >= config.duration * NS_PER_S
+        self._stats.end_step(world.stamp_ns)
 
-    def _begin_tick(self, world: PhysicsWorld, tick: int) -> None:
-        """Publishes what a tick begins with: first of all what controllers and renderers work by while the rest is being written."""
-        simulator = self.simulator
-        self._clock_pub.publish(self._clock_message.serialize(world.stamp_ns))
-        for robot in self._robots.values():
-            robot.publish_odometry(world)
-        # The whole state now: sensors that are due at this step then need no other one.
-        state = world.state()
-        self._due = self._world_topics.publish_state(state, tick, simulator.epoch, simulator.epoch_step)
-        for robot in self._robots.values():
-            robot.publish_state(world, state, self._digests)
-
-    def _end_tick(self, state: SceneState, measured: dict[RobotInterface, Measurements]) -> None:
-        """Publishes the digests. In lockstep, the others then have their turn."""
-        if self._digests is not None:
-            self._digests.add(names.SCENE_STATE, state.links, state.positions, state.quats_xyzw, state.twists)
-            self._digests.publish(state.stamp_ns, self.simulator.epoch, self.simulator.epoch_step)
-        if self._gate is not None:
-            self._last_tick = state, measured
-            self._gate.publish_tick(state.stamp_ns, partial(self._topics_of_tick, self._due, measured))
-
-    def _publish_again(self, all_of_it: bool) -> None:
-        """Publishes what renderers draw by once more, or all of the present tick."""
-        if all_of_it and self._last_tick is not None and self.simulator.world is not None:
-            for robot, measurements in self._last_tick[1].items():
-                robot.publish_odometry(self.simulator.world)
-                robot.publish_state(self.simulator.world, self._last_tick[0])
-                robot.publish_sensors(measurements)
-        self._world_topics.publish_state_again()
-
-    def _topics_of_tick(self, cameras: tuple[CameraSpec, ...], measured: dict[RobotInterface, Measurements]) -> set[str]:
-        """Returns what was, and will be, published at a tick; without leading slashes."""
-        topics = {CAMERAS} if cameras else set()
-        for camera in cameras:
-            found = names.camera_topics(camera.name)
-            topics.update(found[output] for output in camera.outputs)
-        for robot, measurements in measured.items():
-            topics |= robot.topics_of_tick(measurements)
-        return topics
+    def _is_last(self, stamp_ns: int) -> bool:
+        """Returns whether ``duration`` has passed with the step that was just published."""
+        return bool(self._config.duration) and stamp_ns >= self._config.duration * NS_PER_S
 
     @property
     def _stamp_ns(self) -> int:

@@ -69,12 +69,12 @@ class RecordNode(Node):
         self._find_topics()
 
     def _find_topics(self) -> None:
-        """Subscribes to what has appeared since the last look. The scene state comes last: see ``PhysicsConfig``."""
+        """Subscribes to what has appeared since the last look. Last comes what the physics node waits for: see ``PhysicsConfig``."""
         assert self._intake is not None
         self._warn_of_unheard(self._intake.count_publishers())
         found = {topic for topic, _ in self.get_topic_names_and_types() if topic not in self._seen and self._is_wanted(topic)}
-        state = self.resolve_topic_name(names.SCENE_STATE)
-        for topic in sorted(found, key=lambda t: (t == state, t)):
+        last = (f"/{names.SCENE_STATE}", f"/{names.GROUND_TRUTH}")
+        for topic in sorted(found, key=lambda t: (t.endswith(last), t)):
             publishers = self.get_publishers_info_by_topic(topic)
             if topic == names.CLOCK:
                 self._seen.add(topic)

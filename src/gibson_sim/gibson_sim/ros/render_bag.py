@@ -28,21 +28,24 @@ from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.geometry.transforms import Mat4, invert
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.resources import find_config
-from gibson_sim.robots.load_cameras import load_cameras
-from gibson_sim.ros import conversions, qos
+from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.bag_queue import BagQueue, Item, Picture, Raw
 from gibson_sim.ros.camera_messages import REGISTERED, REGISTERED_INFO, CameraMessages
-from gibson_sim.ros.camera_transforms import CameraTransforms
+from gibson_sim.ros.camera_transforms import TF_TYPE, CameraTransforms, ViewTransforms
 from gibson_sim.ros.exact_bytes import exact_bytes
 from gibson_sim.ros.message_types import type_name_of
 from gibson_sim.ros.node_main import end_with_parent, keep_large_blocks
 from gibson_sim.ros.opening import open_renderer
 from gibson_sim.scenes.asset_paths import with_local_files
 from gibson_sim.scenes.builder import SceneBuilder
+from gibson_sim.scenes.floor_extent import extent_of_drawn
+from gibson_sim.scenes.load_views import load_camera_file, read_views
 from gibson_sim.scenes.randomise import Rules, randomise
 from gibson_sim.scenes.randomise_yaml import load_rules
 from gibson_sim.scenes.scene_yaml import read_scene_yaml
 from gibson_sim.scenes.spec import DrawnScene, LightSpec
+from gibson_sim.scenes.view_links import Views
+from gibson_sim.scenes.views import FloorExtent, View
 from gibson_sim.sensors.taking import PictureTaker, Taken
 from gibson_sim.types import NS_PER_S, CameraSpec, SceneState
 
@@ -117,6 +120,10 @@ class _Rendering:
         self._rules: Rules | None = load_rules(find_config(job.randomise, "randomisation")) if job.randomise else None
         self._lights = _load_lights(job.lights) if job.lights else None
         self._given: tuple[CameraSpec, ...] = ()
+        self._wanted_views: tuple[View, ...] = read_views(job.views, job.wanted_view_size(), job.view_rate)
+        self._views: dict[int, Views] = {}
+        """Of each scene of the bag, by revision."""
+        self._floor: FloorExtent | None = None
         self._recorded: dict[int, DrawnScene] = {}
         """Scenes of the bag by revision, the newest of each so far."""
         self._read_scenes()
@@ -124,8 +131,9 @@ class _Rendering:
         self._cameras = self._all_cameras()
         self._kinds = {name: self._kinds_of(messages) for name, messages in self._cameras.items()}
         self._transforms = CameraTransforms(bag, self._given, self._copied)
+        self._view_transforms = ViewTransforms()
         self._schedule = Schedule(state_period_ns(bag, self._topics.state), interpolate=job.interpolate)
-        self._due_as_recorded = not (job.cameras or job.rate or job.interpolate)
+        self._due_as_recorded = not (job.cameras or self._wanted_views or job.rate or job.interpolate)
         self._pending: _Pending | None = None
         self._behind: list[Item] = []
         """What comes after the pictures that are still being drawn."""
@@ -136,17 +144,41 @@ class _Rendering:
             self._recorded.setdefault(msg.revision, conversions.scene_from_msg(msg))
         if self._job.cameras:
             links = dict.fromkeys(link for scene in self._recorded.values() for link in scene.links)
-            self._given = load_cameras(Path(self._job.cameras), tuple(links))
+            self._given, views = load_camera_file(Path(self._job.cameras), tuple(links))
+            self._wanted_views = (*views, *self._wanted_views)
+        for scene in self._recorded.values():
+            self._take_views(scene)
+        for name, reason in next(iter(self._views.values())).absent.items() if self._views else ():
+            if all(name in views.absent for views in self._views.values()):
+                raise ConfigError(reason)
+
+    def _take_views(self, scene: DrawnScene) -> None:
+        """Finds the views of a scene."""
+        if self._wanted_views:
+            cameras = () if self._job.cameras else scene.cameras
+            known = replace(scene, cameras=(*cameras, *self._given))
+            # A scene does not say which of its bodies are robots, but their links come first.
+            first = next((link for link in scene.links if "/" in link), "")
+            self._views[scene.revision] = Views(self._wanted_views, known, first.partition("/")[0], lambda: self._floor_of(scene))
+
+    def _floor_of(self, scene: DrawnScene) -> FloorExtent:
+        """Returns the extent of the floor; it is measured once."""
+        if self._floor is None:
+            self._floor = extent_of_drawn(with_local_files(scene, self._render.asset_folders())[0])
+        return self._floor
 
     def _cameras_of(self, scene: DrawnScene) -> tuple[CameraSpec, ...]:
-        """Returns the cameras to draw in a scene: those whose link it has."""
+        """Returns the cameras to draw in a scene: those whose link it has, and its views."""
         changes: dict[str, Any] = {}
         if self._job.rate:
             changes["rate_hz"] = self._job.rate
         if outputs := self._job.wanted_outputs():
             changes["outputs"] = outputs
-        cameras = self._given or scene.cameras
-        return tuple(replace(camera, **changes) for camera in cameras if camera.link in ("", *scene.links))
+        cameras = self._given or (() if self._job.cameras else scene.cameras)
+        there = [camera for camera in cameras if camera.link in ("", *scene.links)]
+        if scene.revision in self._views:
+            there += self._views[scene.revision].cameras
+        return tuple(replace(camera, **changes) for camera in there)
 
     def _all_cameras(self) -> dict[str, CameraMessages]:
         """Returns what makes the messages of each camera, by name."""
@@ -194,6 +226,8 @@ class _Rendering:
         for connection in self._bag.connections:
             if connection.topic in self._copied:
                 bag.add_topic(connection.topic, connection.msgtype, offered_qos(connection))
+        if self._views and names.TF not in self._copied:
+            bag.add_topic(names.TF, TF_TYPE, qos.TF)
         for name, messages in self._cameras.items():
             for kind, message_type, topic in messages.topics():
                 if kind in self._kinds[name]:
@@ -244,12 +278,14 @@ class _Rendering:
 
     def _on_scene(self, queue: BagQueue, msg: Any, log_ns: int) -> None:
         scene = self._recorded[msg.revision] = conversions.scene_from_msg(msg)
+        self._take_views(scene)
         sent = conversions.scene_to_msg(self._looked(scene), conversions.time_from_msg(msg.header.stamp))
         self._later(queue, [Raw(self._topics.scene, exact_bytes(sent), log_ns)])
 
     def _looked(self, scene: DrawnScene) -> DrawnScene:
         """Returns the scene with the cameras, lights and looks that are asked for."""
-        scene = replace(scene, cameras=self._cameras_of(scene), light=self._lights or scene.light)
+        links = self._views[scene.revision].scene.links if scene.revision in self._views else scene.links
+        scene = replace(scene, links=links, cameras=self._cameras_of(scene), light=self._lights or scene.light)
         return scene if self._rules is None else randomise(scene, self._job.randomise_seed, self._rules)
 
     def _on_state(self, queue: BagQueue, msg: Any, log_ns: int) -> None:
@@ -264,7 +300,12 @@ class _Rendering:
         assert self._drawn is not None
         state = conversions.scene_state_from_msg(msg, scene.links)
         recorded = tuple(msg.due_cameras.tolist()) if self._due_as_recorded else None
+        views = self._views.get(msg.revision)
         for moment, due in self._schedule.moments(state, self._drawn.cameras, recorded):
+            if views is not None:
+                poses = views.poses(moment)
+                moment = views.extended(moment, poses)
+                self._later(queue, [Raw(names.TF, self._view_transforms.message(views.cameras, poses, moment.stamp_ns), log_ns)])
             written = conversions.scene_state_to_msg(moment, due, getattr(msg, "epoch", 0), getattr(msg, "epoch_step", 0))
             self._later(queue, [Raw(self._topics.state, serialize_message(written), log_ns)])
             if due:
@@ -290,10 +331,10 @@ class _Rendering:
             labels = [Raw(topics[output], exact_bytes(label), log_ns) for output, label in messages.labels(local, stamp_ns)]
             self._later(queue, list(labels))
 
-    def _draw(self, queue: BagQueue, state: SceneState, names: list[str], log_ns: int) -> None:
+    def _draw(self, queue: BagQueue, state: SceneState, cameras: list[str], log_ns: int) -> None:
         """Begins to draw cameras; meanwhile the pictures before are handed to the writer."""
         assert self._taker is not None and self._renderer is not None
-        messages = [self._cameras[name] for name in names]
+        messages = [self._cameras[name] for name in cameras]
         specs = [m.to_draw(frozenset(self._kinds[m.camera.name])) for m in messages]
         taken = self._taker.take(state, [spec for spec in specs if spec is not None])
         targets = [

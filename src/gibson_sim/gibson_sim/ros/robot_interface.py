@@ -21,7 +21,9 @@ from gibson_sim.errors import CommandError
 from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_matrix
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.spec import RobotSpec
+from gibson_sim.robots.xacro import published_description
 from gibson_sim.ros import conversions, names, qos
+from gibson_sim.ros.arm_interface import ArmInterface
 from gibson_sim.ros.digest_publisher import DigestPublisher
 from gibson_sim.ros.fast_publish import FastImu, FastJointStates, FastOdometry, FastTf, RelativePoses
 from gibson_sim.ros.journal import Journal
@@ -50,6 +52,8 @@ class RobotInterface:
         joint_states (sensor_msgs/JointState), robot_description (std_msgs/String, latched).
         What its file lists: scan (sensor_msgs/LaserScan), lidar/points (sensor_msgs/PointCloud2), imu (sensor_msgs/Imu), bumper
         (std_msgs/Bool) and bumper/wrench (geometry_msgs/WrenchStamped), battery_state (sensor_msgs/BatteryState).
+
+    And what ``ArmInterface`` lists.
     """
 
     def __init__(
@@ -71,6 +75,8 @@ class RobotInterface:
         self._make_publishers()
         self.sensors = SensorSuite(robot, config.step_hz, config.publish_hz, world.scene.gravity, config.seed)
         self._commands: deque[tuple[str, Any]] = deque(maxlen=_MOST_COMMANDS)
+        self._kept: deque[tuple[str, Any]] = deque(maxlen=_MOST_COMMANDS)
+        self._last_state: list[tuple[Publisher, bytes]] = []
         self._received = received
         self._subscriptions = [
             node.create_subscription(kind, self._topic(name), partial(self._take, self._resolved(name)), qos.COMMAND)
@@ -84,7 +90,9 @@ class RobotInterface:
         self._short_names = {name: self._resolved(name).lstrip("/") for name in (*every_tick, *self._sensor_pubs)}
         self._every_tick = {self._short_names[name] for name in every_tick}
         self.truth_topic = self._resolved(names.GROUND_TRUTH)
-        self.command_topics = frozenset(map(self._resolved, (names.CMD_VEL, names.JOINT_TRAJECTORY, names.JOINT_COMMAND)))
+        own_topics = frozenset(map(self._resolved, (names.CMD_VEL, names.JOINT_TRAJECTORY, names.JOINT_COMMAND)))
+        self._arms = ArmInterface(node, robot, received, world.stamp_ns)
+        self.command_topics = own_topics | self._arms.command_topics
         self._stamped = stamped
         self._stamped_subscription = stamped.subscribe(TwistStamped, self._topic(names.CMD_VEL), self._commands)
         self._rates = {lidar.name: lidar.rate_hz for lidar in robot.sensors.lidars}
@@ -105,7 +113,10 @@ class RobotInterface:
 
     def give(self, topic: str, msg: Any) -> None:
         """Takes a command for the next step, as if it had arrived on ``topic``."""
-        self._commands.append((topic, msg))
+        if topic in self._arms.command_topics:
+            self._arms.give(topic, msg)
+        else:
+            self._commands.append((topic, msg))
 
     def topics_of_tick(self, measured: Measurements) -> set[str]:
         """Returns what was published at a tick at which this was measured; without a leading slash."""
@@ -123,7 +134,6 @@ class RobotInterface:
         self._tf_pub = self._publisher(TFMessage, tf, qos.TF)
         self._tf_static_pub = self._publisher(TFMessage, tf_static, qos.LATCHED)
         self._odom_pub = self._publisher(RosOdometry, topic(names.ODOM), qos.STATE)
-        self._truth_pub = self._publisher(RosOdometry, topic(names.GROUND_TRUTH), qos.STATE)
         self._joints_pub = self._publisher(JointState, topic(names.JOINT_STATES), qos.STATE)
         self._description_pub = self._publisher(String, topic(names.ROBOT_DESCRIPTION), qos.LATCHED)
         sensors = robot.sensors
@@ -140,11 +150,13 @@ class RobotInterface:
         for bumper in sensors.bumpers:
             name = names.bumper_wrench(bumper.name)
             self._sensor_pubs[name] = self._publisher(WrenchStamped, topic(name), qos.SENSOR)
+        # The last one: who has found it has found all others of this robot, see ``PhysicsConfig.wait_for``.
+        self._truth_pub = self._publisher(RosOdometry, topic(names.GROUND_TRUTH), qos.STATE)
 
     def _publish_latched(self) -> None:
         """Publishes the description and the fixed transforms."""
         robot, prefix = self.robot, self.robot.frame_prefix
-        self._description_pub.publish(String(data=robot.urdf.read_text(encoding="utf-8")))
+        self._description_pub.publish(String(data=published_description(robot.urdf)))
         transforms = [
             conversions.transform_to_msg(0, prefix + parent, prefix + child, pose)
             for parent, child, pose in robot.fixed_transforms
@@ -156,17 +168,25 @@ class RobotInterface:
                 transforms.append(conversions.transform_to_msg(0, parent, camera.optical_frame, camera.pose))
         self._tf_static_pub.publish(TFMessage(transforms=transforms))
 
+    def keep_commands(self) -> None:
+        """Keeps the commands that arrived until now for the next step; later ones are for the steps after it."""
+        for _ in range(len(self._commands)):
+            self._kept.append(self._commands.popleft())
+        self._arms.keep_commands()
+
     def take_commands(self, world: PhysicsWorld, journal: Journal) -> None:
-        """Hands the commands that arrived since the last step to the world, in the order of their arrival, and notes them."""
-        while self._commands:
+        """Hands the commands that were kept to the world, in the order of their arrival, and notes them."""
+        while self._kept:
             self.commands_seen += 1
-            topic, msg = self._commands.popleft()
+            topic, msg = self._kept.popleft()
             journal.note(topic, msg)
             try:
                 self._obey(world, msg)
             except CommandError as error:
                 self.refused_commands += 1
                 self._node.get_logger().warning(str(error), throttle_duration_sec=1.0)
+        seen, refused = self._arms.take_commands(world, journal)
+        self.commands_seen, self.refused_commands = self.commands_seen + seen, self.refused_commands + refused
 
     def _obey(self, world: PhysicsWorld, msg: Any) -> None:
         name, now = self.robot.name, world.stamp_ns
@@ -181,7 +201,8 @@ class RobotInterface:
         odometry = world.odometry(self.robot.name)
         pose = conversions.odometry_pose(odometry)
         twist = (odometry.linear, odometry.lateral, 0.0), (0.0, 0.0, odometry.angular)
-        self._odom_pub.publish(self._odom.serialize(world.stamp_ns, pose.position, pose.quat_xyzw, *twist))
+        self._last_state = []
+        self._publish_state(self._odom_pub, self._odom.serialize(world.stamp_ns, pose.position, pose.quat_xyzw, *twist))
 
     def publish_state(self, world: PhysicsWorld, state: SceneState, digests: DigestPublisher | None = None) -> None:
         """Publishes where the robot is, but for ``publish_odometry``, with the stamp of the state; ``digests`` has all of it."""
@@ -194,16 +215,25 @@ class RobotInterface:
         if self._config.publish_map_tf:
             map_from_odom = pose_from_matrix(matrix_from_pose(base) @ invert(matrix_from_pose(odom_pose)))
             poses.append((*map_from_odom.position, *map_from_odom.quat_xyzw))
-        self._tf_pub.publish(self._tf.serialize(stamp, poses))
+        self._publish_state(self._tf_pub, self._tf.serialize(stamp, poses))
         linear, angular = world.base_twist(name)
-        truth_msg = self._truth.serialize(stamp, base.position, base.quat_xyzw, linear, angular)
-        self._truth_pub.publish(truth_msg)
+        self._publish_state(self._truth_pub, self._truth.serialize(stamp, base.position, base.quat_xyzw, linear, angular))
         joints = world.joint_states(name)
-        self._joints_pub.publish(self._joints.serialize(stamp, joints))
+        self._publish_state(self._joints_pub, self._joints.serialize(stamp, joints))
         if digests is not None:
             digests.add(self._topic(names.ODOM), odometry)
             digests.add(self._topic(names.GROUND_TRUTH), base, linear, angular)
             digests.add(self._topic(names.JOINT_STATES), joints)
+        self._arms.publish(world, digests)
+
+    def _publish_state(self, publisher: Publisher, message: bytes) -> None:
+        publisher.publish(message)
+        self._last_state.append((publisher, message))
+
+    def publish_state_again(self) -> None:
+        """Publishes odometry and state of the last tick once more."""
+        for publisher, message in self._last_state:
+            publisher.publish(message)
 
     def _lay_out_messages(self) -> None:
         """Prepares the messages whose shape never changes."""
@@ -265,10 +295,13 @@ class RobotInterface:
     def reset(self, step: int) -> None:
         """Forgets commands and what the sensors remember, after ``step`` steps of the world."""
         self._commands.clear()
+        self._kept.clear()
+        self._arms.reset()
         self.sensors.reset(step)
 
     def close(self) -> None:
         """Takes the topics back."""
+        self._arms.close()
         self._stamped.unsubscribe(self._stamped_subscription)
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)

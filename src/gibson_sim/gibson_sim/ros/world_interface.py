@@ -10,16 +10,22 @@ from typing import Any
 from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from tf2_msgs.msg import TFMessage
 
 from gibson_msgs.msg import Epoch, Scene, SceneState
 from gibson_sim.config import PhysicsConfig
-from gibson_sim.errors import GibsonSimError
+from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.ros import conversions, names, qos
+from gibson_sim.ros.camera_transforms import ViewTransforms
 from gibson_sim.ros.fast_publish import FastSceneState
+from gibson_sim.scenes.floor_extent import extent_of_scene
 from gibson_sim.scenes.floor_map import scene_floor_map
+from gibson_sim.scenes.load_views import read_views
 from gibson_sim.scenes.randomise import Rules, randomise
-from gibson_sim.scenes.spec import WORLD_FRAME, drawn_scene
+from gibson_sim.scenes.spec import WORLD_FRAME, DrawnScene, SceneSpec, drawn_scene
+from gibson_sim.scenes.view_links import Views
+from gibson_sim.scenes.views import FloorExtent
 from gibson_sim.sensors.schedule import is_due
 from gibson_sim.types import CameraSpec, SceneState as State
 
@@ -36,6 +42,7 @@ class WorldInterface:
         map (nav_msgs/OccupancyGrid, latched): the floor that robots start on, made from collision shapes; where there are more,
             floor_0/map, floor_1/map and so on, from the lowest.
         simulation_epoch (gibson_msgs/Epoch, latched): how often the simulation was reset.
+        /tf (tf2_msgs/TFMessage): where the views are, in the map frame, with the stamp of the state; only where there are views.
     """
 
     def __init__(self, node: Node, config: PhysicsConfig, rules: Rules | None) -> None:
@@ -48,6 +55,12 @@ class WorldInterface:
         self._fast_state: FastSceneState | None = None
         self._laid_out = -1
         self._last_state = b""
+        self._wanted_views = read_views(config.views, config.wanted_view_size(), config.view_rate)
+        self._views: Views | None = None
+        self._floor: tuple[str, FloorExtent] | None = None
+        """Of the scene with this digest: it is measured once."""
+        self._tf_pub: Publisher | None = None
+        self._transforms = ViewTransforms()
         self.cameras: tuple[CameraSpec, ...] = ()
         """In the order that ``due_cameras`` counts."""
 
@@ -55,6 +68,9 @@ class WorldInterface:
         """Publishes what there is; again after every change."""
         drawn = drawn_scene(world.scene, world.links)
         drawn = replace(drawn, cameras=with_camera_settings(drawn.cameras, self._config))
+        if self._wanted_views:
+            robot = next((robot.name for robot in world.scene.robots), "")
+            drawn = self._take_views(Views(self._wanted_views, drawn, robot, lambda: self._floor_of(world.scene)))
         if self._rules is not None:
             drawn = randomise(drawn, self._config.randomise_seed, self._rules)
         self.cameras = drawn.cameras
@@ -62,12 +78,39 @@ class WorldInterface:
 
     def publish_state(self, state: State, tick: int, epoch: int, epoch_step: int) -> tuple[CameraSpec, ...]:
         """Publishes all poses; returns the cameras that are due at ``tick``, which counts at ``publish_hz``."""
+        if self._views is not None:
+            state = self._with_views(self._views, state)
         due = tuple(i for i, c in enumerate(self.cameras) if is_due(tick, c.rate_hz, self._config.publish_hz))
         if self._fast_state is None or self._laid_out != state.revision:
             self._fast_state, self._laid_out = FastSceneState(WORLD_FRAME, len(state.links)), state.revision
         self._last_state = self._fast_state.serialize(state, due, epoch, epoch_step)
         self._state_pub.publish(self._last_state)
         return tuple(self.cameras[i] for i in due)
+
+    def _take_views(self, views: Views) -> DrawnScene:
+        """Takes the views of a scene, and returns it with them."""
+        if views.absent and self._views is None:
+            raise ConfigError(next(iter(views.absent.values())))
+        known = {} if self._views is None else self._views.absent
+        for name in views.absent.keys() - known.keys():
+            logger.warning("%s", views.absent[name])
+        if self._tf_pub is None:
+            self._tf_pub = self._node.create_publisher(TFMessage, names.TF, **qos.overridable(qos.TF))
+        self._views = views
+        self._fast_state = None
+        return views.scene
+
+    def _with_views(self, views: Views, state: State) -> State:
+        """Returns the state with the views in it, and publishes where they are."""
+        poses = views.poses(state)
+        assert self._tf_pub is not None
+        self._tf_pub.publish(self._transforms.message(views.cameras, poses, state.stamp_ns))
+        return views.extended(state, poses)
+
+    def _floor_of(self, scene: SceneSpec) -> FloorExtent:
+        if self._floor is None or self._floor[0] != scene.content_hash:
+            self._floor = scene.content_hash, extent_of_scene(scene)
+        return self._floor[1]
 
     def publish_state_again(self) -> None:
         """Publishes the last state once more, for a renderer that came too late for it."""

@@ -195,11 +195,11 @@ def make_floor_map(
     floor = grid.cover(floors)
     # Neighbouring floor tiles of a model may leave cracks.
     floor = np.asarray(ndimage.binary_closing(np.pad(floor, 2), np.ones((3, 3)))[2:-2, 2:-2])
-    if ground_plane and floor.mean() < 0.2:
+    solid = inside_solids(corners, grid, floor_z, floor_z - FLOOR_TOLERANCE, low, ground_plane=ground_plane)
+    if ground_plane and (floor & ~solid).mean() < 0.2:
         floor = np.ones(grid.shape, dtype=bool)
     covered = under_ceiling(corners, floor_z, grid)
-    occupied = grid.cover(obstacles) | inside_solids(corners, grid, floor_z, floor_z - FLOOR_TOLERANCE, low, ground_plane=ground_plane)
-    return FloorMap(grid.resolution, grid.origin, occupied, floor, covered, floor_z)
+    return FloorMap(grid.resolution, grid.origin, grid.cover(obstacles) | solid, floor, covered, floor_z)
 
 
 def grid_about(floors: F64, obstacles: F64, resolution: float, floor_z: float, ground_plane: bool) -> Grid:

@@ -63,7 +63,8 @@ def read_free_poses(path: Path) -> tuple[FreePose, ...]:
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise SceneError(f"{path}: cannot be read: {error}; write it anew with gibson-sim scene map SCENE --write") from error
     if not rows or tuple(rows[0]) != COLUMNS:
-        raise SceneError(f"{path}: begins with {','.join(rows[0]) if rows else 'nothing'!r}, must begin with {','.join(COLUMNS)}")
+        first = repr(",".join(rows[0])) if rows else "nothing"
+        raise SceneError(f"{path}: begins with {first}, must begin with {','.join(COLUMNS)}")
     return tuple(_row(row, f"{path}: line {number}") for number, row in enumerate(rows[1:], 2))
 
 

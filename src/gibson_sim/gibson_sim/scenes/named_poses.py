@@ -63,7 +63,7 @@ def named_poses(scene: SceneSpec) -> tuple[NamedPose, ...]:
             continue
         out += _starts(starts, tag, floor, height)
         out += _free(level, tag, floor, radius, height)
-        out += _rooms_and_doors(level, tag, coarse, height)
+        out += _rooms_and_doors(level, number, coarse, height)
     return tuple(out)
 
 
@@ -106,15 +106,19 @@ def _free(scene: SceneSpec, tag: str, floor: FloorMap, radius: float, height: fl
     return out
 
 
-def _rooms_and_doors(scene: SceneSpec, tag: str, floor: FloorMap, height: float) -> list[NamedPose]:
+def _rooms_and_doors(scene: SceneSpec, number: int, floor: FloorMap, height: float) -> list[NamedPose]:
     rooms, doors = find_rooms(floor)
+    tag = f"floor_{number}"
     out = []
     for i, room in enumerate(rooms):
         x, y = room.center
         low: Vec3 = (room.low[0] - x, room.low[1] - y, 0.0)
         high: Vec3 = (room.high[0] - x, room.high[1] - y, height)
         pose = pose_from_xyz_rpy((x, y, scene.floor_z))
-        out.append(NamedPose(f"{tag}/room_{i}", f"room of {room.area:.1f} m^2", ("room", tag), pose, low, high))
+        named = scene.room_at(x, y, number)
+        text = f"room of {room.area:.1f} m^2{'' if named is None else f': {named.name}'}"
+        tags = ("room", tag, *(() if named is None else (named.room_class,)))
+        out.append(NamedPose(f"{tag}/room_{i}", text, tags, pose, low, high))
     for i, door in enumerate(doors):
         pose = pose_from_xyz_rpy((*door.center, scene.floor_z), (0.0, 0.0, door.yaw))
         text = f"door {door.width:.1f} m wide, from room_{door.rooms[0]} to room_{door.rooms[1]}"

@@ -16,6 +16,8 @@ _LEVEL = 0.9
 """Undersides and floors face down and up to within this cosine."""
 _STEEP = 0.05
 """What is steeper than the angle of this cosine neither covers nor bears anything."""
+_MOST_COVERED = 0.9
+"""Part of a floor that things stand on; where more faces down, the faces themselves are wrong."""
 _TIE = 0.002
 """Metres: an underside that lies no lower below a floor than this stands on it."""
 
@@ -40,7 +42,7 @@ def inside_solids(corners: F64, grid: Grid, floor_z: float, low: float, high: fl
     down, up = corners[at_floor & (facing < -_LEVEL)], corners[at_floor & (facing > _LEVEL)]
     down = down[down[:, :, 2].max(axis=1) >= floor_z - _TIE]
     floor_area = max(_area(up), 0.5 * grid.resolution**2 * grid.shape[0] * grid.shape[1] if ground_plane else 0.0)
-    if not len(down) or _area(down) > floor_area:
+    if not len(down) or _area(down) > _MOST_COVERED * floor_area:
         return np.zeros(grid.shape, dtype=bool)
     underside = grid.heights(down, np.maximum)
     standing = underside > -np.inf

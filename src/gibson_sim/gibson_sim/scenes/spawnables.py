@@ -32,15 +32,17 @@ class Spawnable:
     """Lowest and highest corner in the frame of its root, metres; None = not known without reading its meshes."""
 
 
-def own_spawnables() -> dict[str, Path]:
-    """Returns the folder or file of each of our robots and objects, by name."""
+def own_spawnables(only: str = "") -> dict[str, Path]:
+    """Returns the folder or file of each of our robots and objects, by name; with ``only`` a name, just the one called so."""
     found: dict[str, Path] = {}
     for share in share_folders():
         for folder in (share / "config" / "robots", share / "robots", share / "scenes" / "objects", share / "objects"):
             for entry in sorted(folder.iterdir()) if folder.is_dir() else ():
+                if only and only not in (entry.name, entry.stem):
+                    continue
                 if not entry.name.startswith((".", "_")) and _kind(entry):
                     found.setdefault(entry.stem if entry.is_file() else entry.name, entry)
-    return dict(sorted(found.items()))
+    return dict(sorted(found.items())) if not only else {name: path for name, path in found.items() if name == only}
 
 
 def find_spawnables(sources: Sequence[str]) -> tuple[Spawnable, ...]:

@@ -14,9 +14,11 @@ from xml.etree import ElementTree
 from gibson_sim.errors import GibsonSimError, MeshError, RobotError, SceneError, SceneNotFoundError
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.load import ROBOT_FILE, load_robot
+from gibson_sim.robots.mesh_files import resolve_mesh
 from gibson_sim.robots.omissions import Omission, OmissionKind, kind_of
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.robots.urdf import UrdfModel, is_xacro, parse_urdf, read_urdf, resolve_mesh
+from gibson_sim.robots.urdf import UrdfModel, parse_urdf, read_urdf
+from gibson_sim.robots.xacro import is_xacro
 from gibson_sim.scenes.builder import SceneBuilder, class_from_model
 from gibson_sim.scenes.mesh import MESH_SUFFIXES, MeshLoader
 from gibson_sim.scenes.mesh_body import mesh_body
@@ -109,13 +111,14 @@ def _resolve(uri: str, roots: tuple[Path, ...]) -> tuple[Path, tuple[Path, ...]]
     try:
         path = path_of(uri)
         if path is None:
-            own = own_spawnables()
-            if uri in own:
-                return own[uri], (*roots, own[uri].parent) if roots else ()
+            own = own_spawnables(uri).get(uri) if uri else None
+            if own is not None:
+                return own, (*roots, own.parent) if roots else ()
             path = Path(uri).absolute()
             # A mistyped name should not read as a missing file.
             if not exists(path) and "/" not in uri:
-                raise SceneNotFoundError(f"{uri}: is neither a file nor the name of something of ours: {', '.join(own)}")
+                known = ", ".join(own_spawnables())
+                raise SceneNotFoundError(f"{uri}: is neither a file nor the name of something of ours: {known}")
         check_inside(path, roots, uri)
         if not exists(path):
             raise SceneNotFoundError(f"{uri}: there is nothing at {path}")

@@ -36,6 +36,7 @@ from gibson_sim.simulation.codes import (
     quoted,
 )
 from gibson_sim.simulation.filters import TagsFilter
+from gibson_sim.simulation.manipulation import grasp_settings, servo_settings
 from gibson_sim.simulation.population import Population
 from gibson_sim.simulation.requests import LastReset, LoadRequest, ResetScope, WorldInfo
 from gibson_sim.simulation.states import HAS_WORLD, SimulationState, check_transition
@@ -336,6 +337,8 @@ class Simulator:
             step_hz=self._config.step_hz,
             cmd_vel_timeout=self._config.cmd_vel_timeout,
             seed=self._config.seed,
+            grasping=grasp_settings(self._config),
+            servo=servo_settings(self._config),
         )
         if self._config.reset_time == "monotonic":
             world.set_step_count(self._steps_before)

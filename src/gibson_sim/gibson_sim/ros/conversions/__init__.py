@@ -4,6 +4,7 @@
 from a clock. Large arrays are copied once, as bytes: a list or an ndarray in a message field costs tens of milliseconds.
 """
 
+from gibson_sim.ros.conversions.arms import collision_count_to_msg, contacts_to_msg, grasp_state_to_msg, tool_twist_from_msg
 from gibson_sim.ros.conversions.basics import (
     header_to_msg,
     pose_from_msg,
@@ -44,9 +45,12 @@ __all__ = [
     "bumper_to_msgs",
     "camera_info_to_msg",
     "cloud_to_msg",
+    "collision_count_to_msg",
     "compressed_to_msg",
+    "contacts_to_msg",
     "floor_map_to_msg",
     "frame_to_image_msgs",
+    "grasp_state_to_msg",
     "header_to_msg",
     "image_to_msg",
     "imu_to_msg",
@@ -66,6 +70,7 @@ __all__ = [
     "scene_to_msg",
     "time_from_msg",
     "time_to_msg",
+    "tool_twist_from_msg",
     "transform_to_msg",
     "vector_from_msg",
     "vector_to_msg",

@@ -80,7 +80,8 @@ def odometry_covariances() -> tuple[tuple[float, ...], tuple[float, ...]]:
 def joint_command_from_msg(msg: JointTrajectoryMsg | JointState) -> JointCommand:
     """Returns what a JointTrajectory or a JointState asks of joints.
 
-    A JointState with positions says where they shall go; one with velocities alone, how fast they shall move.
+    A JointState with positions says where they shall go, and, with efforts beside them, what motors use at most on the way and there (0 = what
+    the joint allows); one with velocities alone, how fast they shall move.
 
     Raises:
         CommandError: it cannot be obeyed as it is.
@@ -89,7 +90,7 @@ def joint_command_from_msg(msg: JointTrajectoryMsg | JointState) -> JointCommand
         names = tuple(msg.name)
         if not msg.position and msg.velocity:
             return JointVelocities(tuple(msg.velocity), names)
-        return JointPositions(tuple(msg.position), names)
+        return JointPositions(tuple(msg.position), names, tuple(msg.effort))
     points = tuple(
         TrajectoryPoint(
             point.time_from_start.sec * NS_PER_S + point.time_from_start.nanosec,

@@ -57,10 +57,11 @@ def write_scene_files(folder: Path, robot: RobotSize = USUAL_ROBOT, *, seed: int
     rng = np.random.default_rng(seed)
     triangles = scene_triangles(scene)
     poses = [pose for number, floor in enumerate(floors) for pose in _poses(scene, number, floor, triangles, robot.radius, rng)]
-    for old in folder.glob("floor_trav_*.png"):
-        old.unlink()
     paths = write_gibson_maps(floors, folder)
     write_free_poses(folder / FREE_POSES, poses)
+    # Of floors that the scene no longer has.
+    for old in sorted(set(folder.glob("floor_trav_*.png")) - set(paths)):
+        old.unlink()
     return (*paths, folder / FREE_POSES)
 
 
@@ -82,7 +83,8 @@ def _poses(
         heights = np.maximum(heights, scene.ground_z)
     out = []
     for index in rng.permutation(len(poses)):
-        x, y, _ = poses[index].position
+        # As the file will have them, so that the room is that of the place in the file.
+        x, y = (round(c, 3) for c in poses[index].position[:2])
         z = _height(floor, heights, (x, y), radius)
         room = room_at(scene.rooms, x, y, number)
         yaw = 2.0 * math.atan2(poses[index].quat_xyzw[2], poses[index].quat_xyzw[3])

@@ -123,9 +123,8 @@ def traversable_map(
     obstacles = clip_to_slab(near, floor_z + FLOOR_CLEARANCE, floor_z + robot.height)
     grid = grid_about(level, obstacles, resolution, floor_z, ground_plane)
 
-    layers = _layers(surfaces, floor_z, grid, ground_plane)
     solid = inside_solids(every, grid, floor_z, floor_z - FLOOR_TOLERANCE, floor_z + FLOOR_CLEARANCE, ground_plane=ground_plane)
-    layers[: len(layers) // 2 + round(FLOOR_CLEARANCE / _LAYER) + 1] &= ~solid
+    layers = _layers(surfaces, floor_z, grid, solid, ground_plane)
     steps = max(1, math.floor(robot.step / _LAYER + 1e-6))
     seeds = np.zeros_like(layers)
     middle = len(layers) // 2
@@ -145,8 +144,11 @@ def _reaches(corners: F64, low: float, high: float) -> Bools:
     return np.asarray((corners[:, :, 2].max(axis=1) >= low) & (corners[:, :, 2].min(axis=1) <= high))
 
 
-def _layers(surfaces: F64, floor_z: float, grid: Grid, ground_plane: bool) -> Bools:
-    """Returns (L, H, W): where surfaces (F, 3, 3) lie, in layers about the height of the floor; the middle one is the floor's."""
+def _layers(surfaces: F64, floor_z: float, grid: Grid, solid: Bools, ground_plane: bool) -> Bools:
+    """Returns (L, H, W): where surfaces (F, 3, 3) lie, in layers about the height of the floor; the middle one is the floor's.
+
+    In cells that are ``solid``, (H, W), there is no floor.
+    """
     half = round(REACH / _LAYER)
     layers = np.zeros((2 * half + 1, *grid.shape), dtype=bool)
     for index in range(len(layers)):
@@ -157,8 +159,9 @@ def _layers(surfaces: F64, floor_z: float, grid: Grid, ground_plane: bool) -> Bo
     about = layers[half - 2 : half + 3].any(axis=0)
     closed = ndimage.binary_closing(np.pad(about, 2), np.ones((3, 3)))[2:-2, 2:-2]
     layers[half] |= closed & ~about
-    if ground_plane and about.mean() < 0.2:
+    if ground_plane and (about & ~solid).mean() < 0.2:
         layers[half] = True
+    layers[: half + round(FLOOR_CLEARANCE / _LAYER) + 1] &= ~solid
     return layers
 
 

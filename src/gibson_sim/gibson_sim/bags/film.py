@@ -1,0 +1,193 @@
+"""Figures and films from a bag: images of several cameras above each other, through time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gibson_sim.bags.reader import COLOUR_ENCODINGS, BagReader, nominal_period_ns
+from gibson_sim.bags.video import IMAGE, MAX_FPS, Bgr, Panels, VideoFile, repeats_of, write_file
+from gibson_sim.errors import RecordError
+from gibson_sim.types import NS_PER_S
+
+PICTURES = (".png", ".jpg", ".jpeg")
+_GAP_PX = 4
+_VIEWS = "/view_"
+_JPEG_QUALITY = 88
+
+
+def film_topics(reader: BagReader, wanted: Sequence[str] = ()) -> list[str]:
+    """Returns image topics in the order in which they are shown, from the top.
+
+    Args:
+        reader: the bag.
+        wanted: topics, or names of cameras, which stand for their colours; none = all colours, those of views last.
+
+    Raises:
+        RecordError: there is no such topic.
+    """
+    infos = reader.topics()
+    if wanted:
+        topics = [name if name in infos else f"/{name.strip('/')}/image_raw" for name in wanted]
+        unknown = [name for name, topic in zip(wanted, topics, strict=True) if topic not in infos]
+        if unknown:
+            there = ", ".join(sorted(name for name, info in infos.items() if info.type_name == IMAGE)) or "none"
+            raise RecordError(f"bag {reader.folder} has no images on {', '.join(unknown)}; it has them on: {there}")
+        return topics
+    images = sorted(name for name, info in infos.items() if info.type_name == IMAGE and info.count)
+    colours = [name for name in images if next(reader.messages([name]))[2].encoding in COLOUR_ENCODINGS]
+    if not colours:
+        raise RecordError(f"bag {reader.folder} has no colour images: record while the render node runs, or name topics")
+    return sorted(colours, key=lambda name: (name.startswith(_VIEWS), name))
+
+
+def write_film_strip(
+    bag: str | Path,
+    path: str | Path,
+    *,
+    topics: Sequence[str] = (),
+    columns: int = 6,
+    width: int = 320,
+    begin: float = 0.0,
+    end: float = 0.0,
+) -> Path:
+    """Writes a figure: a row a topic, a column a moment, evenly from the first to the last, with the time below.
+
+    Args:
+        bag: folder of the bag.
+        path: PNG or JPEG file to write; its folder must exist.
+        topics: as ``film_topics`` takes them.
+        columns: how many moments; fewer if the bag has fewer at which every topic has an image.
+        width: of one image, pixels.
+        begin: leave out what is earlier, seconds after the begin of the bag.
+        end: leave out what is later, seconds after the begin of the bag; 0 = nothing.
+
+    Returns:
+        The path.
+
+    Raises:
+        RecordError: the bag lacks the images, or the file cannot be written.
+    """
+    _check(columns, width)
+    path = Path(path)
+    if path.suffix.lower() not in PICTURES:
+        raise RecordError(f"film strip {path}: the name must end in {', '.join(PICTURES)}")
+    with BagReader(bag) as reader:
+        panels = Panels(reader, film_topics(reader, topics))
+        shown = _shown(reader, panels, begin, end)
+        wanted = shown[np.unique(np.rint(np.linspace(0, len(shown) - 1, columns)).astype(np.int64))]
+        cells = [
+            np.vstack([_stacked(images, panels.topics, width, _GAP_PX), _time(width, int(panels.stamps[index]))])
+            for index, images in panels.images(frozenset(wanted.tolist()))
+        ]
+    gap = np.full((cells[0].shape[0], _GAP_PX, 3), 255, dtype=np.uint8)
+    strip = np.hstack([part for cell in cells for part in (cell, gap)][:-1])
+    ok, data = cv2.imencode(
+        path.suffix, strip, [] if path.suffix.lower() == ".png" else [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+    )
+    assert ok, "a picture of uint8 can always be encoded"
+    write_file(path, data.tobytes())
+    return path
+
+
+def write_film(
+    bag: str | Path,
+    path: str | Path,
+    *,
+    topics: Sequence[str] = (),
+    width: int = 640,
+    begin: float = 0.0,
+    end: float = 0.0,
+    fps: float | None = None,
+    speed: float = 1.0,
+) -> Path:
+    """Writes an H.264 video (MP4) of topics above each other, at the moments at which all have an image, timed by their stamps.
+
+    Args:
+        bag: folder of the bag.
+        path: file to write; its folder must exist.
+        topics: as ``film_topics`` takes them.
+        width: of the video, pixels.
+        begin: leave out what is earlier, seconds after the begin of the bag.
+        end: leave out what is later, seconds after the begin of the bag; 0 = nothing.
+        fps: frames a second; None = as the stamps have it, 60 at most.
+        speed: seconds of simulation shown in a second of video.
+
+    Returns:
+        The path.
+
+    Raises:
+        RecordError: the bag lacks the images, or the video cannot be written.
+    """
+    _check(1, width)
+    if not speed > 0.0 or (fps is not None and not fps > 0.0):
+        raise RecordError(f"speed is {speed:g} and fps is {fps}; both must be above 0")
+    with BagReader(bag) as reader:
+        panels = Panels(reader, film_topics(reader, topics))
+        shown = _shown(reader, panels, begin, end)
+        stamps = panels.stamps[shown]
+        rate = fps or min(NS_PER_S / (nominal_period_ns(stamps) or NS_PER_S / 10.0) * speed, MAX_FPS)
+        repeats = dict(zip(shown.tolist(), repeats_of(stamps, NS_PER_S / rate * speed).tolist(), strict=True))
+        frames = ((repeats[i], _stacked(images, panels.topics, width, 0)) for i, images in _needed(panels, repeats))
+        _write(Path(path), rate, frames)
+    return Path(path)
+
+
+def _needed(panels: Panels, repeats: Mapping[int, int]) -> Iterator[tuple[int, dict[str, Bgr]]]:
+    return panels.images(frozenset(index for index, count in repeats.items() if count))
+
+
+def _write(path: Path, rate: float, frames: Iterator[tuple[int, Bgr]]) -> None:
+    """Writes pictures, each as often as is said with it."""
+    video: VideoFile | None = None
+    try:
+        for count, picture in frames:
+            if video is None:
+                video = VideoFile(path, rate, (picture.shape[1], picture.shape[0]))
+            for _ in range(count):
+                video.write(picture)
+    finally:
+        if video is not None:
+            video.close()
+
+
+def _check(columns: int, width: int) -> None:
+    if not (1 <= columns <= 100 and 32 <= width <= 4096):
+        raise RecordError(f"film of {columns} columns and width {width}; must be 1 to 100, and 32 to 4096 pixels")
+
+
+def _shown(reader: BagReader, panels: Panels, begin: float, end: float) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    """Returns the indices of the frames to choose from."""
+    shown = panels.complete(begin, end)
+    if not len(shown):
+        span = f"between {begin:g} s and {f'{end:g} s' if end else 'the end'}"
+        raise RecordError(
+            f"bag {reader.folder}: {span} there is no moment at which all have an image: {', '.join(panels.topics)}"
+        )
+    return shown
+
+
+def _stacked(images: Mapping[str, Bgr], topics: Sequence[str], width: int, gap: int) -> Bgr:
+    """Returns images above each other, each as wide as the others, its proportions kept."""
+    parts = []
+    for topic in topics:
+        image = images[topic]
+        height = max(round(image.shape[0] * width / image.shape[1]), 1)
+        how = cv2.INTER_AREA if width < image.shape[1] else cv2.INTER_CUBIC
+        parts.append(image if image.shape[1] == width else cv2.resize(image, (width, height), interpolation=how))
+        parts.append(np.full((gap, width, 3), 255, dtype=np.uint8))
+    return np.vstack(parts)
+
+
+def _time(width: int, stamp_ns: int) -> Bgr:
+    """Returns the line below a column, black on white."""
+    scale = max(width / 640.0, 0.4)
+    line = np.full((round(40 * scale), width, 3), 255, dtype=np.uint8)
+    text = f"{stamp_ns / NS_PER_S:.1f} s"
+    (wide, _), _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)
+    at = ((width - wide) // 2, round(30 * scale))
+    cv2.putText(line, text, at, cv2.FONT_HERSHEY_SIMPLEX, scale, (0, 0, 0), 1, cv2.LINE_AA)
+    return line

@@ -1,0 +1,54 @@
+"""Joints that follow others, as ``<mimic>`` in a URDF says. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+from gibson_sim.errors import RobotError
+
+
+@dataclass(frozen=True, slots=True)
+class Mimic:
+    """The position of a joint is ``multiplier`` times that of its leader, plus ``offset``."""
+
+    leader: str
+    """A joint that follows nobody."""
+    multiplier: float = 1.0
+    offset: float = 0.0
+    """Radians or metres."""
+
+    def position(self, leader: float) -> float:
+        """Returns where the follower is while its leader is at ``leader``."""
+        return self.multiplier * leader + self.offset
+
+
+def leaders(mimics: Mapping[str, Mimic], moving: Collection[str], where: str) -> dict[str, Mimic]:
+    """Returns for every joint that follows the one at the end of its chain of leaders.
+
+    Args:
+        mimics: What each of them names as its leader, which may itself follow.
+        moving: All joints that move.
+        where: The file, for messages.
+
+    Raises:
+        RobotError: a leader is not there or does not move, or joints follow each other in a circle.
+    """
+    out = {}
+    for name, mimic in mimics.items():
+        passed = [name]
+        while True:
+            if mimic.leader not in moving:
+                raise RobotError(
+                    f"{where}: joint {passed[-1]!r} mimics {mimic.leader!r}, which is no joint that moves; "
+                    f"these do: {', '.join(moving) or 'none'}"
+                )
+            if mimic.leader in passed:
+                raise RobotError(f"{where}: joints {', '.join(map(repr, passed))} mimic each other in a circle; one must lead")
+            above = mimics.get(mimic.leader)
+            if above is None:
+                break
+            passed.append(mimic.leader)
+            mimic = Mimic(above.leader, mimic.multiplier * above.multiplier, mimic.position(above.offset))
+        out[name] = mimic
+    return out

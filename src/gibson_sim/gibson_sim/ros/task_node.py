@@ -1,0 +1,306 @@
+"""The task node: sets up episodes of a task in a running simulation, judges them, and drives where a baseline is asked for.
+
+It is a client as any other: it spawns and deletes by simulation_interfaces, drives by velocities, and knows what is published.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped, Twist
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from simulation_interfaces import msg as sim_msg, srv
+from std_msgs.msg import Bool, String
+from std_srvs.srv import Trigger
+
+from gibson_msgs.msg import Contacts, GraspState, Scene, SceneState as RosSceneState
+from gibson_sim.config import TaskConfig
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.ros import conversions, names, qos
+from gibson_sim.ros.executor import make_executor
+from gibson_sim.ros.node_main import goes_on, run_node
+from gibson_sim.ros.params import config_from_parameters
+from gibson_sim.scenes.spec import WORLD_FRAME
+from gibson_sim.tasks.controls import finger_joints
+from gibson_sim.tasks.episode import Action, Episode, Item, View, item_root, view_of
+from gibson_sim.tasks.ground import ground_of
+from gibson_sim.tasks.metrics import Meter, Metrics, episode_line, episode_values, summary, summary_line, touched_by
+from gibson_sim.tasks.registry import check_baseline, task_of
+from gibson_sim.tasks.run import CONTROL_HZ, SETTLE_S
+from gibson_sim.tasks.task import Policy
+from gibson_sim.types import NS_PER_S, Contact, Pose, SceneState, Vec3
+
+PATIENCE_S = 60.0
+"""Wall time after which a simulation that does not answer is given up."""
+GOAL, INFO, RESULT, RESET = "task/goal", "task/info", "task/result", "task/reset"
+_PERIOD_NS = NS_PER_S // CONTROL_HZ
+
+
+class TaskNode(Node):
+    """Runs episodes one after the other. With a baseline it ends after the last one; else it goes on, and each reset begins the next.
+
+    Parameters: the fields of ``gibson_sim.config.TaskConfig``.
+
+    Subscribes:
+        scene, scene_state: where everything is. contacts: what the robot touches. joint_states, grasp_state: of a robot with an arm.
+
+    Publishes:
+        task/goal (geometry_msgs/PoseStamped, latched): where to go or what to do it with; not where the place must be found.
+        task/info (std_msgs/String, latched): the episode as JSON: task, seed, text, target_class, start, time_limit, shortest.
+        task/result (std_msgs/String, latched): how an episode ended, as JSON: seed, success, time, path_length, spl, ...
+        cmd_vel, joint_command, grasp: only with a baseline.
+
+    Services:
+        task/reset (std_srvs/Trigger): ends the episode and begins the next one; the message is its task/info.
+
+    Calls:
+        spawn_entity, delete_entity, set_entity_state.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Checks the settings and loads the scene to plan in. ``kwargs`` go to ``rclpy.node.Node``."""
+        super().__init__("task", **kwargs)
+        self._config = config = config_from_parameters(self, TaskConfig)
+        self._task = task_of(config.task)
+        check_baseline(self._task, config.baseline)
+        self._ground = ground_of(config.scene or self._task.scene, config.robot or self._task.robot)
+        self._links: dict[int, tuple[str, ...]] = {}
+        self._scene_name = ""
+        self._state: SceneState | None = None
+        self._joints: dict[str, float] = {}
+        self._held, self._touched = "", frozenset[str]()
+        self._reset_asked = False
+        self._spawned: list[str] = []
+        self._results: list[Metrics] = []
+        self._subscribe()
+        self._goal_pub = self.create_publisher(PoseStamped, GOAL, qos.LATCHED)
+        self._info_pub = self.create_publisher(String, INFO, qos.LATCHED)
+        self._result_pub = self.create_publisher(String, RESULT, qos.LATCHED)
+        self._velocity_pub = self.create_publisher(Twist, names.CMD_VEL, qos.COMMAND)
+        self._joint_pub = self.create_publisher(JointState, names.JOINT_COMMAND, qos.COMMAND)
+        self._grasp_pub = self.create_publisher(Bool, names.GRASP, qos.COMMAND)
+        self._spawn = self.create_client(srv.SpawnEntity, "spawn_entity")
+        self._delete = self.create_client(srv.DeleteEntity, "delete_entity")
+        self._place = self.create_client(srv.SetEntityState, "set_entity_state")
+        self.create_service(Trigger, RESET, self._on_reset)
+        self._executor = make_executor()
+        self._executor.add_node(self)
+
+    def _subscribe(self) -> None:
+        self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
+        self.create_subscription(RosSceneState, names.SCENE_STATE, self._on_state, qos.STATE)
+        self.create_subscription(Contacts, names.CONTACTS, self._on_contacts, qos.STATE)
+        if self._ground.robot.manipulators:
+            self.create_subscription(JointState, names.JOINT_STATES, self._on_joints, qos.STATE)
+            self.create_subscription(GraspState, names.GRASP_STATE, self._on_grasp, qos.STATE)
+
+    def _on_scene(self, msg: Scene) -> None:
+        scene = conversions.scene_from_msg(msg)
+        self._scene_name, self._links[scene.revision] = scene.name, scene.links
+
+    def _on_state(self, msg: RosSceneState) -> None:
+        links = self._links.get(msg.revision)
+        if links is not None:
+            self._state = conversions.scene_state_from_msg(msg, links)
+
+    def _on_contacts(self, msg: Contacts) -> None:
+        moving = {link.partition("/")[0] for link in (self._state.links if self._state else ())}
+        contacts = [
+            Contact(c.body_a, c.link_a, c.body_b, c.link_b, _xyz(c.position), _xyz(c.normal), c.force, c.distance)
+            for c in msg.contacts
+        ]
+        self._touched = touched_by(self._ground.robot.name, contacts, moving)
+
+    def _on_joints(self, msg: JointState) -> None:
+        self._joints.update(zip(msg.name, msg.position, strict=True))
+
+    def _on_grasp(self, msg: GraspState) -> None:
+        self._held = msg.body if msg.holding else ""
+
+    def _on_reset(self, _: Any, response: Any) -> Any:
+        self._reset_asked = True
+        response.success, response.message = True, f"the episode of seed {self._next_seed()} begins"
+        return response
+
+    def _next_seed(self) -> int:
+        return self._config.seed + len(self._results) + 1
+
+    def spin(self) -> int:
+        """Runs the episodes; returns the exit code.
+
+        Raises:
+            GibsonSimError: no simulation answers, or it is not the one that is needed.
+        """
+        self._wait(lambda: self._state is not None, "scene_state of a simulation: does one run in this ROS domain?")
+        expected = self._ground.scene.name
+        if self._scene_name != expected:
+            raise GibsonSimError(
+                f"the simulation runs scene {self._scene_name!r}, the task needs {expected!r}; start it with --scene, or give it as --scene"
+            )
+        robot = f"{self._ground.robot.name}/{self._ground.robot.base_link}"
+        assert self._state is not None
+        if robot not in self._state.links:
+            raise GibsonSimError(
+                f"the simulation has no robot with a link {robot!r}; start it with --robot {self._config.robot or self._task.robot}"
+            )
+        waits = self._config.baseline == "none"
+        number = 0
+        while goes_on() and (waits or number < self._config.episodes):
+            seed = self._config.seed + number
+            self._results.append(self._episode(seed))
+            print(episode_line(seed, self._results[-1]), flush=True)
+            number += 1
+            while waits and goes_on() and not self._reset_asked:
+                self._executor.spin_once(timeout_sec=0.1)
+        if goes_on():
+            self._report()
+        return 0
+
+    def _episode(self, seed: int) -> Metrics:
+        """Sets an episode up, lets the baseline or somebody else do it, and returns how it went."""
+        episode = self._task.generate(seed, self._ground)
+        begin_ns = self._set_up(episode)
+        view = self._view(begin_ns)
+        meter = Meter(episode, view)
+        policy = None if self._config.baseline == "none" else self._task.policy(self._config.baseline, episode, self._ground)
+        self._announce(episode)
+        success = False
+        while goes_on() and not (success or self._reset_asked or view.time >= episode.time_limit):
+            if policy is not None:
+                self._do(policy, view)
+            view = self._view(begin_ns, after=view.time)
+            meter.note(view, self._touched)
+            success = self._task.succeeded(episode, view, self._ground)
+        if policy is not None:
+            self._velocity_pub.publish(Twist())
+        metrics = meter.metrics(view, success=success, goal_distance=self._task.remaining(episode, view, self._ground))
+        self._result_pub.publish(String(data=json.dumps({"seed": seed, **episode_values(metrics)})))
+        return metrics
+
+    def _do(self, policy: Policy, view: View) -> None:
+        """Publishes what a baseline wants."""
+        action: Action = policy.act(view)
+        twist = Twist()
+        twist.linear.x, twist.angular.z = float(action.linear), float(action.angular)
+        self._velocity_pub.publish(twist)
+        joints = {**action.joints, **finger_joints(self._ground.robot, action.grasp)}
+        if joints:
+            self._joint_pub.publish(JointState(name=list(joints), position=[float(p) for p in joints.values()]))
+        if action.grasp is not None and action.grasp != bool(self._held):
+            self._grasp_pub.publish(Bool(data=action.grasp))
+
+    def _set_up(self, episode: Episode) -> int:
+        """Makes the scene that of an episode; returns the stamp at which it begins."""
+        self._reset_asked = False
+        if self._ground.robot.manipulators:
+            self._grasp_pub.publish(Bool(data=False))
+        self._velocity_pub.publish(Twist())
+        for name in self._spawned:
+            self._call(self._delete, srv.DeleteEntity.Request(entity=name))
+        self._spawned.clear()
+        self._put_robot(episode.start)
+        for item in episode.items:
+            self._put_item(item)
+            self._spawned.append(item.name)
+        roots = {item_root(item) for item in episode.items}
+        assert self._state is not None
+        asked_ns = self._state.stamp_ns
+        self._wait(lambda: self._settled(roots, asked_ns), "state of the scene with all items in it")
+        return self._state.stamp_ns
+
+    def _settled(self, roots: set[str], asked_ns: int) -> bool:
+        state = self._state
+        return state is not None and roots <= set(state.links) and state.stamp_ns >= asked_ns + round(SETTLE_S * NS_PER_S)
+
+    def _put_robot(self, pose: Pose) -> None:
+        request = srv.SetEntityState.Request(entity=self._ground.robot.name)
+        request.state.pose = conversions.pose_to_msg(pose)
+        for part in ("pose", "twist"):
+            if hasattr(request, f"set_{part}"):
+                setattr(request, f"set_{part}", True)
+        self._call(self._place, request)
+
+    def _put_item(self, item: Item) -> None:
+        request = srv.SpawnEntity.Request(name=item.name)
+        if hasattr(request, "entity_resource"):
+            request.entity_resource.uri = item.model
+        else:
+            request.uri = item.model
+        request.initial_pose.pose = conversions.pose_to_msg(item.pose)
+        self._call(self._spawn, request)
+
+    def _announce(self, episode: Episode) -> None:
+        goal = episode.goal
+        values = {
+            "task": episode.task, "seed": episode.seed, "text": goal.text, "target_class": goal.target_class,
+            "start": [*episode.start.position, *episode.start.quat_xyzw], "time_limit": episode.time_limit,
+            "shortest": None if math.isnan(episode.shortest) else episode.shortest,
+        }  # fmt: skip
+        self._info_pub.publish(String(data=json.dumps(values)))
+        if goal.position is not None and self._state is not None:
+            message = PoseStamped(header=conversions.header_to_msg(self._state.stamp_ns, WORLD_FRAME))
+            message.pose = conversions.pose_to_msg(Pose(goal.position))
+            self._goal_pub.publish(message)
+
+    def _view(self, begin_ns: int, after: float = -math.inf) -> View:
+        """Returns what is known at the next tick that is a period of control after ``after``, seconds since the begin."""
+        wanted_ns = -1 if math.isinf(after) else begin_ns + round(after * NS_PER_S) + _PERIOD_NS
+        self._wait(
+            lambda: self._state is not None and self._state.stamp_ns >= wanted_ns, "scene_state: is the simulation paused?"
+        )
+        assert self._state is not None
+        robot = self._ground.robot
+        return view_of(self._state, robot.name, robot.base_link, begin_ns, joints=dict(self._joints), held=self._held)
+
+    def _call(self, client: Any, request: Any) -> None:
+        """Calls a service of the simulation.
+
+        Raises:
+            GibsonSimError: it does not answer, or says no.
+        """
+        self._wait(client.service_is_ready, f"service {client.srv_name}")
+        future = client.call_async(request)
+        self._wait(future.done, f"answer of {client.srv_name}")
+        result = future.result().result
+        if result.result != sim_msg.Result.RESULT_OK:
+            raise GibsonSimError(f"{client.srv_name}: {result.error_message}")
+
+    def _wait(self, condition: Callable[[], bool], what: str) -> None:
+        deadline = time.monotonic() + PATIENCE_S
+        while not condition():
+            if not goes_on():
+                raise KeyboardInterrupt
+            if time.monotonic() > deadline:
+                raise GibsonSimError(f"still no {what} (waited {PATIENCE_S:.0f} s)")
+            self._executor.spin_once(timeout_sec=0.1)
+
+    def _report(self) -> None:
+        total = summary(self._results)
+        print(summary_line(self._task.name, self._config.baseline, total), flush=True)
+        if self._config.output:
+            episodes = [{"seed": self._config.seed + k, **episode_values(m)} for k, m in enumerate(self._results)]
+            found = {"task": self._task.name, "baseline": self._config.baseline, **episode_values(total), "all": episodes}
+            Path(self._config.output).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+    def close(self) -> None:
+        """Ends the executor; what was spawned stays for whoever looks at it."""
+        self._executor.shutdown(timeout_sec=5.0)
+
+
+def _xyz(msg: Any) -> Vec3:
+    return msg.x, msg.y, msg.z
+
+
+def main(args: list[str] | None = None) -> None:
+    """Runs the task node."""
+    run_node(TaskNode, args)
+
+
+if __name__ == "__main__":
+    main()

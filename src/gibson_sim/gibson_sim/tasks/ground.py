@@ -1,0 +1,142 @@
+"""The floor that tasks take place on: where a robot can be, ways to go, what it sees from where. Pure and deterministic."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from gibson_sim.errors import ConfigError, SceneError
+from gibson_sim.geometry.transforms import matrix_from_quat, yaw_from_quat
+from gibson_sim.robots.load import load_robot
+from gibson_sim.robots.spec import RobotSpec
+from gibson_sim.scenes.floor_map import FloorMap
+from gibson_sim.scenes.load import load_scene
+from gibson_sim.scenes.maps.bodies import body_triangles
+from gibson_sim.scenes.maps.paths import PathPlanner
+from gibson_sim.scenes.placement import robot_floor_map
+from gibson_sim.scenes.rasterise import Grid
+from gibson_sim.scenes.rooms import Door, find_rooms
+from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.tasks.episode import Item, item_body
+from gibson_sim.types import Pose
+
+Bools = NDArray[np.bool_]
+F64 = NDArray[np.float64]
+MARGIN = 0.04
+"""Metres that planned ways keep beside the robot's radius."""
+SIGHT = 5.0
+"""Metres: farther things do not count as seen."""
+
+
+@dataclass(frozen=True)
+class Ground:
+    """A scene without its task, a robot in it, and the map of its lowest floor."""
+
+    scene: SceneSpec
+    """Without robots."""
+    robot: RobotSpec
+    floor: FloorMap
+
+    @cached_property
+    def planner(self) -> PathPlanner:
+        """Ways between what never moves."""
+        return PathPlanner(self.floor, self.reach)
+
+    @cached_property
+    def doors(self) -> tuple[Door, ...]:
+        """Narrow passages between rooms."""
+        return find_rooms(self.floor)[1]
+
+    @property
+    def reach(self) -> float:
+        """Metres that ways keep from obstacles."""
+        return self.robot.radius + MARGIN
+
+    @property
+    def half_view(self) -> float:
+        """Half of the angle that the robot's first camera sees from left to right, radians."""
+        if not self.robot.cameras:
+            raise ConfigError(f"robot {self.robot.name!r} has no camera; this task needs one that sees")
+        camera = self.robot.cameras[0]
+        return math.atan(math.tan(camera.fov_y / 2.0) * camera.width / camera.height)
+
+    def planner_around(self, footprints: Iterable[F64]) -> PathPlanner:
+        """Returns ways that also go round things, given as the corners (4, 2) of their outlines, world metres."""
+        polygons = list(footprints)
+        return PathPlanner(self._with(polygons), self.reach) if polygons else self.planner
+
+    def connected(self, start: tuple[float, float], goal: tuple[float, float], footprints: Iterable[F64]) -> bool:
+        """Returns whether a way leads from one place to another round things; the quick question, without the way."""
+        floor = self._with(list(footprints))
+        labels, _ = ndimage.label(floor.free & (floor.distance_to_obstacle >= self.reach), structure=np.ones((3, 3)))
+        a, b = (int(labels[tuple(floor.cells(place))]) for place in (start, goal))
+        return a == b != 0
+
+    def _with(self, footprints: list[F64]) -> FloorMap:
+        grid = Grid(self.floor.resolution, self.floor.origin, self.floor.shape)
+        return replace(self.floor, occupied=self.floor.occupied | grid.cover(np.stack(footprints)))
+
+    def sees(self, base: Pose, points: ArrayLike, reach: float = SIGHT) -> Bools:
+        """Returns (N,): which points (N, 2), world metres, are in front of the camera, near enough, and behind nothing that never moves."""
+        x, y = base.position[:2]
+        targets = np.asarray(points, dtype=np.float64).reshape(-1, 2)
+        offsets = targets - (x, y)
+        distances = np.linalg.norm(offsets, axis=1)
+        bearings = np.arctan2(offsets[:, 1], offsets[:, 0]) - yaw_from_quat(base.quat_xyzw)
+        bearings = np.abs((bearings + math.pi) % (2.0 * math.pi) - math.pi)
+        out = np.asarray((distances <= reach) & (bearings <= self.half_view))
+        out[out] = self._clear(np.array([x, y]), targets[out])
+        return out
+
+    def _clear(self, eye: F64, targets: F64) -> Bools:
+        """Returns (N,): whether nothing stands on the straight lines from a point (2,) to others (N, 2)."""
+        if not len(targets):
+            return np.zeros(0, dtype=bool)
+        longest = float(np.linalg.norm(targets - eye, axis=1).max())
+        along = np.linspace(0.0, 1.0, max(2, math.ceil(2.0 * longest / self.floor.resolution)))
+        cells = self.floor.cells(eye + (targets - eye)[:, None, :] * along[:, None])
+        cells = np.clip(cells, 0, np.array(self.floor.shape) - 1)
+        return ~np.asarray(self.floor.occupied[cells[..., 0], cells[..., 1]].any(axis=1))
+
+
+@lru_cache(maxsize=8)
+def ground_of(scene: str, robot: str) -> Ground:
+    """Returns the ground of a scene for a robot, both by name or path; the same one again where it was made before.
+
+    Raises:
+        GibsonSimError: one of them cannot be loaded.
+    """
+    loaded = load_scene(scene)
+    spec = load_robot(robot)
+    if spec.drive is None:
+        raise ConfigError(f"robot {robot!r} has no drive; tasks need one that moves")
+    floor = robot_floor_map(loaded, spec)
+    if not floor.free.any():
+        raise SceneError(f"scene {scene!r}: has no free floor for a task")
+    return Ground(loaded, spec, floor)
+
+
+@lru_cache(maxsize=256)
+def _outline(model: str) -> F64:
+    """Returns the corners (4, 2) of the box about what is bumped into of an object, root frame, metres, counter-clockwise."""
+    body = item_body(Item("outline", model, Pose()))
+    empty = SceneSpec("outline", body.model.path.parent, "", (), (), bodies=(body,))
+    corners, _ = body_triangles(empty)
+    (x0, y0), (x1, y1) = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
+    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+
+
+def footprint(model: str, pose: Pose) -> F64:
+    """Returns the corners (4, 2) of an object's outline on the floor, world metres, counter-clockwise, as it lies at T_world_root.
+
+    Its height is forgotten: of what fell over, it is the outline of what stood.
+    """
+    corners = _outline(model)
+    rotation = matrix_from_quat(pose.quat_xyzw)[:2, :2]
+    return np.asarray(corners @ rotation.T + np.asarray(pose.position[:2]))

@@ -1,0 +1,173 @@
+"""How well an episode went, and many of them. Pure: views and contacts go in, numbers come out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from gibson_sim.tasks.episode import Episode, View, item_root
+from gibson_sim.types import Contact
+
+PUSHED = 0.05
+"""Metres: an item that moved less counts as untouched."""
+_LEVEL = 0.7
+"""A contact whose normal is steeper than this (z of a unit vector) is a floor or a load."""
+_Z95 = 1.959964
+"""Of the standard normal distribution: 95 % lie within so many deviations."""
+
+
+@dataclass(frozen=True, slots=True)
+class Metrics:
+    """How an episode went until now."""
+
+    success: bool
+    time: float
+    """Seconds of simulation time."""
+    path_length: float
+    """Metres that the base went."""
+    spl: float
+    """Success weighted by path length (Anderson et al. 2018): shortest / longer of shortest and gone, 0 without success; NaN = the
+    task has no shortest way."""
+    collisions: int
+    """How often the robot began to touch something that never moves, other than the floor."""
+    pushed: int
+    """Items that are elsewhere than at the begin, other than the one that the task is about."""
+    pushed_distance: float
+    """Metres that these are away from where they were, all together."""
+    goal_distance: float
+    """What the task has left, in its own unit: metres, or radians of a joint."""
+
+
+class Meter:
+    """Follows one episode.
+
+    Args:
+        episode: which.
+        begin: what was known at its begin.
+    """
+
+    def __init__(self, episode: Episode, begin: View) -> None:
+        self._episode = episode
+        self._roots = {item.name: item_root(item) for item in episode.items if item.name != episode.goal.target}
+        self._first = {name: begin.links[root].position for name, root in self._roots.items()}
+        self._last_xy = begin.xy
+        self._touched: frozenset[str] = frozenset()
+        self._collisions, self._path_length = 0, 0.0
+
+    def note(self, view: View, touched: Collection[str]) -> None:
+        """Takes in what is known now, and the names of what never moves that the robot touches."""
+        self._path_length += math.dist(view.xy, self._last_xy)
+        self._last_xy = view.xy
+        self._collisions += len(frozenset(touched) - self._touched)
+        self._touched = frozenset(touched)
+
+    def metrics(self, view: View, *, success: bool, goal_distance: float) -> Metrics:
+        """Returns how it went until ``view``."""
+        moved = [math.dist(view.links[root].position, self._first[name]) for name, root in self._roots.items()]
+        pushed = [distance for distance in moved if distance > PUSHED]
+        shortest = self._episode.shortest
+        spl = shortest / max(self._path_length, shortest, 1e-9) if success else 0.0
+        return Metrics(
+            success=success,
+            time=view.time,
+            path_length=self._path_length,
+            spl=math.nan if math.isnan(shortest) else spl,
+            collisions=self._collisions,
+            pushed=len(pushed),
+            pushed_distance=sum(pushed),
+            goal_distance=goal_distance,
+        )
+
+
+def touched_by(robot: str, contacts: Sequence[Contact], moving: Collection[str]) -> frozenset[str]:
+    """Returns what never moves that a robot touches from the side.
+
+    Args:
+        robot: its name.
+        contacts: what never moves is always ``body_b`` of them.
+        moving: names of robots and items.
+    """
+    ours = (c for c in contacts if c.body_a == robot and c.body_b not in moving)
+    return frozenset(c.body_b for c in ours if abs(c.normal[2]) < _LEVEL and c.force > 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Many episodes of a task."""
+
+    episodes: int
+    successes: int
+    low: float
+    """Of the 95 % interval of the success rate (Wilson)."""
+    high: float
+    time: float
+    """Median of the successful ones, seconds; NaN = there is none."""
+    spl: float
+    """Mean; NaN where the task has no shortest way."""
+    collisions: float
+    """Mean."""
+    pushed: float
+    """Mean."""
+
+    @property
+    def rate(self) -> float:
+        """Part that succeeded."""
+        return self.successes / self.episodes if self.episodes else math.nan
+
+
+def summary(found: Sequence[Metrics]) -> Summary:
+    """Returns what episodes have in common."""
+    count, successes = len(found), sum(m.success for m in found)
+    low, high = wilson(successes, count)
+    times = sorted(m.time for m in found if m.success)
+    return Summary(
+        episodes=count,
+        successes=successes,
+        low=low,
+        high=high,
+        time=times[len(times) // 2] if times else math.nan,
+        spl=_mean([m.spl for m in found]),
+        collisions=_mean([m.collisions for m in found]),
+        pushed=_mean([m.pushed for m in found]),
+    )
+
+
+def wilson(successes: int, count: int) -> tuple[float, float]:
+    """Returns the ends of the 95 % interval of a rate (Wilson 1927); (0, 1) where nothing was tried."""
+    if not count:
+        return 0.0, 1.0
+    rate, z = successes / count, _Z95
+    middle = rate + z * z / (2 * count)
+    spread = z * math.sqrt(rate * (1 - rate) / count + z * z / (4 * count * count))
+    scale = 1 + z * z / count
+    return max(0.0, (middle - spread) / scale), min(1.0, (middle + spread) / scale)
+
+
+def _mean(values: Sequence[float]) -> float:
+    return sum(values) / len(values) if values else math.nan
+
+
+def episode_line(seed: int, metrics: Metrics) -> str:
+    """Returns one line about an episode."""
+    spl = "" if math.isnan(metrics.spl) else f", SPL {metrics.spl:.2f}"
+    return (
+        f"seed {seed}: {'success' if metrics.success else 'failure'} after {metrics.time:.1f} s, {metrics.path_length:.2f} m{spl}, "
+        f"{metrics.collisions} collisions, {metrics.pushed} items pushed by {metrics.pushed_distance:.2f} m, {metrics.goal_distance:.2f} left"
+    )
+
+
+def summary_line(task: str, baseline: str, total: Summary) -> str:
+    """Returns one line about many episodes."""
+    spl = "" if math.isnan(total.spl) else f", mean SPL {total.spl:.2f}"
+    time = "" if math.isnan(total.time) else f", median time {total.time:.1f} s"
+    return (
+        f"{task}, {baseline}: {total.successes} of {total.episodes} succeeded ({100 * total.rate:.0f} %, 95 % interval "
+        f"{100 * total.low:.0f} to {100 * total.high:.0f} %){spl}{time}, mean {total.collisions:.1f} collisions, {total.pushed:.1f} pushed"
+    )
+
+
+def episode_values(metrics: Metrics | Summary) -> dict[str, Any]:
+    """Returns numbers for JSON; what is not a number is None."""
+    return {name: None if isinstance(v, float) and math.isnan(v) else v for name, v in asdict(metrics).items()}

@@ -1,0 +1,34 @@
+"""All tasks by name."""
+
+from __future__ import annotations
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.tasks.object_search import ObjectSearch
+from gibson_sim.tasks.open_door import OpenDoor
+from gibson_sim.tasks.point_goal import PointGoal
+from gibson_sim.tasks.push_through import PushThrough
+from gibson_sim.tasks.task import Task
+
+TASKS: dict[str, Task] = {task.name: task for task in (PointGoal(), PushThrough(), ObjectSearch(), OpenDoor())}
+"""Name -> task."""
+
+
+def task_of(name: str) -> Task:
+    """Returns a task by its name.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if name not in TASKS:
+        raise ConfigError(f"task {name!r} is unknown; known: {', '.join(TASKS)}")
+    return TASKS[name]
+
+
+def check_baseline(task: Task, baseline: str) -> None:
+    """Checks that a task has a baseline.
+
+    Raises:
+        ConfigError: it has none of this name.
+    """
+    if baseline not in task.baselines:
+        raise ConfigError(f"task {task.name}: baseline {baseline!r} is unknown; known: {', '.join(task.baselines)}")

@@ -1,0 +1,120 @@
+"""Descriptions that must be expanded before they are URDF."""
+
+from __future__ import annotations
+
+import importlib.util
+import warnings
+from pathlib import Path
+
+import pytest
+
+from gibson_sim.errors import RobotError
+from gibson_sim.robots import xacro
+from gibson_sim.robots.load import load_robot
+from gibson_sim.robots.urdf import parse_urdf, read_urdf
+from gibson_sim.robots.xacro import plain_description, published_description
+
+XACRO = """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="wide" default="0.2"/>
+<xacro:include filename="$(find my_robot)/parts/arm.xacro"/>
+<link name="base"><visual><geometry><mesh filename="package://my_robot/meshes/a.stl"/></geometry></visual>
+<visual><geometry><mesh filename="package://my_robot/meshes/gone.stl"/></geometry></visual>
+<collision><geometry><box size="$(arg wide) 0.1 ${2 * 0.3}"/></geometry></collision></link></robot>"""
+TWO_LINKS = '<link name="{0}"/><joint name="j" type="fixed"><parent link="{1}"/><child link="{0}"/>{2}</joint>'
+ARM = f'<robot xmlns:xacro="http://www.ros.org/wiki/xacro">{TWO_LINKS.format("arm", "base", "")}</robot>'
+OPTIONAL = f'<robot name="r"><link name="a"/>{TWO_LINKS.format("b", "a", """<origin xyz="$(optenv SECRET 1 2 3)"/>""")}</robot>'
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A ROS package with a xacro, what it includes, and one of the two meshes that it names."""
+    folder = tmp_path / "ws" / "my_robot"
+    for name, text in (("urdf/r.urdf.xacro", XACRO), ("parts/arm.xacro", ARM), ("meshes/a.stl", "")):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+    return folder
+
+
+@pytest.fixture
+def needs_xacro() -> None:
+    if importlib.util.find_spec("xacro") is None:
+        message = "SKIPPED: the xacro package is not installed; pip install xacro"
+        warnings.warn(message, stacklevel=2)
+        pytest.skip(message)
+
+
+def test_a_plain_urdf_is_used_as_it_lies(root: Path) -> None:
+    path = root / "config/robots/gibson_bot/gibson_bot.urdf"
+    assert plain_description(path, {}) == path
+
+
+def test_without_the_package_a_xacro_is_refused_with_the_remedy(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(xacro, "find_spec", lambda name: None)
+    with pytest.raises(RobotError, match=r"r\.urdf\.xacro: is a xacro; install what expands it \(pip install xacro\)"):
+        plain_description(package / "urdf/r.urdf.xacro", {})
+
+
+@pytest.mark.usefixtures("needs_xacro")
+def test_a_xacro_is_expanded_with_its_arguments_and_packages(package: Path) -> None:
+    (package / "robot.yaml").write_text("urdf: urdf/r.urdf.xacro\nxacro_args: {wide: 0.5}\n")
+    robot = load_robot(package)
+    model = read_urdf(robot.urdf)
+    assert [link.name for link in model.links] == ["base", "arm"]
+    assert model.link("base").collisions[0].shape.size == (0.5, 0.1, 0.6)
+    assert [visual.shape.mesh for visual in model.link("base").visuals] == [str(package / "meshes/a.stl")]
+    assert model.warnings == ("r.urdf: link 'base': visual: mesh package://my_robot/meshes/gone.stl is not there; left out",)
+    assert robot.urdf == plain_description(package / "urdf/r.urdf.xacro", {"wide": "0.5"})
+
+
+@pytest.mark.usefixtures("needs_xacro")
+def test_what_xacro_refuses_is_said_in_one_line(package: Path) -> None:
+    path = package / "urdf/r.urdf.xacro"
+    path.write_text(XACRO.replace("2 * 0.3", "nothing"))
+    with pytest.raises(RobotError, match="xacro refuses it: name 'nothing' is not defined") as error:
+        plain_description(path, {})
+    assert "\n" not in str(error.value)
+
+
+def test_arguments_of_what_is_no_xacro_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "r.urdf").write_text('<robot name="r"><link name="a"/></robot>')
+    (tmp_path / "robot.yaml").write_text("urdf: r.urdf\nradius: 1\nheight: 1\nxacro_args: {a: 1}\n")
+    with pytest.raises(RobotError, match="xacro_args are given, but this is no xacro"):
+        load_robot(tmp_path)
+    (tmp_path / "robot.yaml").write_text("urdf: r.urdf\nxacro_args: {a: [1]}\n")
+    with pytest.raises(RobotError, match="must be a text, a number, true or false"):
+        load_robot(tmp_path)
+
+
+def test_an_optional_variable_has_its_default_wherever_the_robot_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SECRET", "7 8 9")
+    assert parse_urdf(OPTIONAL, Path("r.urdf")).joint("j").pose.position == (1.0, 2.0, 3.0)
+    path = tmp_path / "r.urdf"
+    path.write_text(OPTIONAL)
+    assert "$(" not in plain_description(path, {}).read_text()
+
+
+def test_a_description_may_lie_in_an_installed_python_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "site" / "some_robot_data"
+    folder.mkdir(parents=True)
+    (folder / "r.urdf").write_text('<robot name="r"><link name="a"/></robot>')
+    (tmp_path / "robot.yaml").write_text("urdf: package://some_robot_data/r.urdf\nradius: 1\nheight: 1\n")
+    with pytest.raises(RobotError, match=r"urdf package://some_robot_data/r\.urdf is not found: no such package"):
+        load_robot(tmp_path)
+    (folder / "__init__.py").write_text("raise RuntimeError('this must not be imported')")
+    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+    assert load_robot(tmp_path).urdf == folder / "r.urdf"
+
+
+def test_a_published_description_names_meshes_that_others_find(root: Path, tmp_path: Path) -> None:
+    path = root / "config/robots/arm_bot/arm_bot.urdf"
+    text = published_description(path)
+    assert (root / "config/robots/arm_bot/meshes/finger.glb").as_uri() in text
+    assert '"meshes/' not in text
+    plain = tmp_path / "r.urdf"
+    plain.write_text('<robot name="r"><!-- as it is --><link name="a"/></robot>')
+    assert published_description(plain) == plain.read_text()
