@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -27,7 +25,7 @@ def push() -> Iterator[TaskRun]:
         yield run
 
 
-def _drive(run: TaskRun, seed: int, steps: int = 12) -> list[View]:
+def _drive(run: TaskRun, seed: int, steps: int = 5) -> list[View]:
     views = [run.reset(seed)]
     rng = np.random.default_rng(seed)
     for _ in range(steps):
@@ -85,12 +83,6 @@ def test_the_command_lists_all_tasks_and_refuses_what_is_none(capsys: pytest.Cap
 def test_control_must_divide_steps() -> None:
     with pytest.raises(ConfigError, match="must divide step_hz"):
         TaskRun(task_of("point-goal"), scene="arena", step_hz=240, control_hz=7)
-
-
-def test_importing_tasks_does_not_load_gymnasium() -> None:
-    command = "import gibson_sim, gibson_sim.tasks.registry, gibson_sim.tasks.run, sys; print('gymnasium' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"
 
 
 @pytest.fixture

@@ -152,7 +152,7 @@ class _Opener:
             if joints is not None:
                 told = {name: stepped(told[name], position, 0.15) for name, position in joints.items()}
             ahead, left = view.in_base((float(point[0]), float(point[1])))
-            linear = max(-0.25, min(0.0, 1.5 * (math.hypot(ahead, left) - reach)))
+            linear = max(-0.25, min(0.2, 1.5 * (math.hypot(ahead, left) - reach)))
             # It keeps facing its hand.
             angular = max(-0.4, min(0.4, math.atan2(left, ahead)))
             view = yield Action(linear, angular, joints={n: told[n] for n in (joints or {})}, grasp=True)
