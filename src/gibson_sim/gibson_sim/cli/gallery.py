@@ -21,7 +21,9 @@ from gibson_sim.scenes.spec import drawn_scene
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser("gallery", help="write one picture of all outputs, cameras, effects and lights of a scene")
-    parser.add_argument("scene", nargs="?", default=DEFAULT_SCENE, help=f"name, folder or file of a scene (default: {DEFAULT_SCENE})")
+    parser.add_argument(
+        "scene", nargs="?", default=DEFAULT_SCENE, help=f"name, folder or file of a scene (default: {DEFAULT_SCENE})"
+    )
     parser.add_argument("--output", default="gallery.png", metavar="FILE", help="the picture (default: gallery.png)")
     parser.add_argument(
         "--at", default="", metavar="PLACE", help="name of a start pose, or x,y,yaw_deg (default: the scene's first start pose)"

@@ -19,7 +19,11 @@ class JointMotors:
     """Motors that obey joint commands within the limits of their joints."""
 
     def __init__(
-        self, body: BulletBody, joints: Sequence[UrdfJoint], others: Sequence[str] = (), efforts: Mapping[str, float] | None = None
+        self,
+        body: BulletBody,
+        joints: Sequence[UrdfJoint],
+        others: Sequence[str] = (),
+        efforts: Mapping[str, float] | None = None,
     ) -> None:
         """Commands nothing yet.
 

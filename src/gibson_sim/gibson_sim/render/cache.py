@@ -55,7 +55,15 @@ class SceneCache:
         used = {visual.link for visual in visuals}
         # What comes behind the last link that is drawn, such as views, changes nothing.
         count = max((number + 1 for number, link in enumerate(links) if link in used), default=0)
-        for part in (__version__, _code_digest(), simplifier() is not None, coarser, tuple(links)[:count], tuple(labels), *visuals):
+        for part in (
+            __version__,
+            _code_digest(),
+            simplifier() is not None,
+            coarser,
+            tuple(links)[:count],
+            tuple(labels),
+            *visuals,
+        ):
             digest.update(repr(part).encode() + b"\0")
         return self._folder / f"{digest.hexdigest()[:32]}.scene"
 

@@ -29,7 +29,9 @@ class JointPositions:
             _check_count("joint positions", "efforts", len(self.efforts), len(self.positions))
             _check_finite("joint positions: efforts", self.names, self.efforts)
             if min(self.efforts) < 0.0:
-                raise CommandError(f"joint positions: an effort is {min(self.efforts):g}, must be 0 or more; 0 = what the joint allows")
+                raise CommandError(
+                    f"joint positions: an effort is {min(self.efforts):g}, must be 0 or more; 0 = what the joint allows"
+                )
 
 
 @dataclass(frozen=True, slots=True)
