@@ -17,7 +17,7 @@ from gibson_sim.scenes.mesh_types import UpAxis
 from gibson_sim.scenes.scene_bodies import read_bodies, read_pose
 from gibson_sim.scenes.scene_rooms import read_rooms
 from gibson_sim.scenes.spec import LightSpec, PointLight, StartPose
-from gibson_sim.scenes.yaml_map import YamlMap
+from gibson_sim.scenes.yaml_map import YamlMap, parse_yaml
 from gibson_sim.types import Rgba, Vec3
 
 F64 = NDArray[np.float64]
@@ -42,7 +42,7 @@ def read_scene_yaml(builder: SceneBuilder, path: Path) -> None:
         SceneError: a key or a value is wrong, or a mesh cannot be used.
     """
     try:
-        document = yaml.safe_load(builder.read_bytes(path))
+        document = parse_yaml(builder.read_bytes(path))
     except (yaml.YAMLError, UnicodeDecodeError) as e:
         raise SceneError(f"{path}: is no YAML: {' '.join(str(e).split())}") from e
     top = YamlMap(document if document is not None else {}, str(path), _SCENE_KEYS)

@@ -21,6 +21,7 @@ from gibson_sim.scenes.sdf_world import place_world
 from gibson_sim.scenes.sources import MAX_BYTES, MAX_DESCRIPTION_BYTES, NOWHERE, check_file, path_of, said, walk
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.scenes.uris import environment_folders, exists
+from gibson_sim.scenes.yaml_map import parse_yaml
 
 _log = logging.getLogger(__name__)
 _DIRECTIVES = (".dmd.yaml", ".dmd.yml")
@@ -216,7 +217,7 @@ def _world(file: Path, name: str = "") -> World:
     if tag != DESCRIPTION:
         return World(file.name.split(".")[0], uri, f"{tag} file", (tag,))
     try:
-        document = yaml.safe_load(file.read_text(encoding="utf-8"))
+        document = parse_yaml(file.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError):
         # Whoever loads it is told what is wrong with it.
         document = None
