@@ -26,21 +26,22 @@ def test_all_designs_are_shipped() -> None:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_a_scene_loads_drives_and_is_drawn(name: str, tmp_path: Path) -> None:
+def test_a_scene_loads_drives_and_is_drawn(name: str) -> None:
     scene = populate(str(FOLDER / name), "gibson_bot", "")
     assert not scene.warnings
     with PhysicsWorld(scene, step_hz=240) as world:
         robot = scene.robots[0].name
         yaws = []
-        for _ in range(240):
+        for _ in range(120):
             world.command(robot, VelocityCommand((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), world.stamp_ns))
             world.step()
             yaws.append(world.odometry(robot).yaw)
-        assert yaws[-1] - yaws[0] > 0.5, "it turns on the spot"
+        assert yaws[-1] - yaws[0] > 0.2, "it turns on the spot"
         state = world.state()
         drawn = drawn_scene(world.scene, world.links)
     camera = replace(drawn.cameras[0], width=160, height=120, outputs=("rgb", "depth", "semantic"))
-    with Renderer(drawn, cache=tmp_path) as renderer:
+    # Without levels of detail, which take long to make.
+    with Renderer(drawn, detail_px=0) as renderer:
         frame = renderer.render(state, [camera])[0]
     assert frame.rgb is not None and frame.depth is not None and frame.semantic is not None
     assert frame.rgb.std() > 15
