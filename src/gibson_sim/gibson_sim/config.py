@@ -140,7 +140,7 @@ class PhysicsConfig:
     )
     pipelined: bool = setting(
         False,
-        "In lockstep, make the next tick while the others do this one: more ticks a second, and a command takes effect one tick later",
+        "In lockstep, make the next tick while the others do this one, where cores are free for both; a command takes effect one tick later",
     )
     participants: str = setting(
         "",
