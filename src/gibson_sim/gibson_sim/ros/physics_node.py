@@ -264,7 +264,7 @@ class PhysicsNode(Node):
             world = self.simulator.world
             assert world is not None
             self._ticks.publish(world)
-            self._done = self._is_last(world.stamp_ns)
+            self._end_step(world.stamp_ns)
             left -= 1
             if (self._gate is not None and not self._gate.core.is_open) or self._take_planned():
                 break
@@ -285,7 +285,7 @@ class PhysicsNode(Node):
                 for robot in self._robots.values():
                     robot.keep_commands()
                 self._ticks.release(world)
-                self._done = self._is_last(world.stamp_ns)
+                self._end_step(world.stamp_ns)
             if not left or self._done:
                 break
             while left and not self._ticks.holds_tick:
@@ -333,11 +333,11 @@ class PhysicsNode(Node):
         for robot in self._robots.values():
             robot.take_commands(world, self._journal)
         self.simulator.step()
-        self._stats.end_step(world.stamp_ns)
 
-    def _is_last(self, stamp_ns: int) -> bool:
-        """Returns whether ``duration`` has passed with the step that was just published."""
-        return bool(self._config.duration) and stamp_ns >= self._config.duration * NS_PER_S
+    def _end_step(self, stamp_ns: int) -> None:
+        """Takes note that a step was published, with which ``duration`` may have passed."""
+        self._stats.end_step(stamp_ns)
+        self._done = bool(self._config.duration) and stamp_ns >= self._config.duration * NS_PER_S
 
     @property
     def _stamp_ns(self) -> int:

@@ -73,13 +73,7 @@ class OpenDoor(Task):
 
     def remaining(self, episode: Episode, view: View, ground: Ground) -> float:
         """Returns the straight distance to the goal, metres, and how far the door is from being open, radians, added up."""
-        assert episode.goal.position is not None
-        return view.distance_to(episode.goal.position) + max(0.0, OPEN - opening(view))
-
-    def succeeded(self, episode: Episode, view: View, ground: Ground) -> bool:
-        """Returns whether the base is within the goal's radius: no other way leads there."""
-        assert episode.goal.position is not None
-        return view.distance_to(episode.goal.position) <= episode.goal.radius
+        return super().remaining(episode, view, ground) + max(0.0, OPEN - opening(view))
 
     def scripted(self, episode: Episode, ground: Ground) -> Policy:
         """Returns who takes the handle, pulls the door open by backing up, and drives through."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from gibson_sim.errors import SceneError
 from gibson_sim.scenes.maps.paths import path_length
 from gibson_sim.tasks.driving import Driver, pose_xy
-from gibson_sim.tasks.episode import Episode, Goal, View
+from gibson_sim.tasks.episode import Episode, Goal
 from gibson_sim.tasks.ground import Ground
 from gibson_sim.tasks.placing import at_distance, clutter, free_place
 from gibson_sim.tasks.task import Policy, Task, generator
@@ -46,15 +46,6 @@ class PointGoal(Task):
             shortest=max(path_length(way) - RADIUS, 0.1),
             time_limit=90.0,
         )
-
-    def remaining(self, episode: Episode, view: View, ground: Ground) -> float:
-        """Returns the straight distance to the goal, metres."""
-        assert episode.goal.position is not None
-        return view.distance_to(episode.goal.position)
-
-    def succeeded(self, episode: Episode, view: View, ground: Ground) -> bool:
-        """Returns whether the base is within the goal's radius."""
-        return self.remaining(episode, view, ground) <= episode.goal.radius
 
     def scripted(self, episode: Episode, ground: Ground) -> Policy:
         """Returns who goes round things where there is a way, and else through them."""

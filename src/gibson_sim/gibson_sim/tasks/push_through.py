@@ -11,7 +11,7 @@ from gibson_sim.errors import SceneError
 from gibson_sim.scenes.maps.paths import path_length
 from gibson_sim.scenes.rooms import Door
 from gibson_sim.tasks.driving import Driver, pose_xy
-from gibson_sim.tasks.episode import Episode, Goal, Item, View
+from gibson_sim.tasks.episode import Episode, Goal, Item
 from gibson_sim.tasks.ground import Ground, footprint
 from gibson_sim.tasks.placing import TRIES, free_place, no_room, on_floor
 from gibson_sim.tasks.task import BASELINES, Policy, Task, generator
@@ -62,15 +62,6 @@ class PushThrough(Task):
             shortest = max(path_length(way) - RADIUS, 0.1)
             return Episode(self.name, seed, start, items, Goal(text, goal.position, RADIUS), shortest, time_limit=90.0)
         raise no_room(self.name, ground, "no doorway of it can be blocked so that there is no way round")
-
-    def remaining(self, episode: Episode, view: View, ground: Ground) -> float:
-        """Returns the straight distance to the goal, metres."""
-        assert episode.goal.position is not None
-        return view.distance_to(episode.goal.position)
-
-    def succeeded(self, episode: Episode, view: View, ground: Ground) -> bool:
-        """Returns whether the base is within the goal's radius."""
-        return self.remaining(episode, view, ground) <= episode.goal.radius
 
     def scripted(self, episode: Episode, ground: Ground) -> Policy:
         """Returns who drives as if the boxes were not there, and backs off where that does not work."""

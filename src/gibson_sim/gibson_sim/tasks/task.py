@@ -44,13 +44,15 @@ class Task(ABC):
             SceneError: the scene has no room for it.
         """
 
-    @abstractmethod
     def remaining(self, episode: Episode, view: View, ground: Ground) -> float:
-        """Returns how far the goal is, 0 = reached: metres of the way that is left, or radians of a joint. Rewards come from it."""
+        """Returns how far the goal is, 0 = reached: metres to its place, unless a task says otherwise. Rewards come from it."""
+        assert episode.goal.position is not None
+        return view.distance_to(episode.goal.position)
 
-    @abstractmethod
     def succeeded(self, episode: Episode, view: View, ground: Ground) -> bool:
-        """Returns whether the goal is reached."""
+        """Returns whether the goal is reached: the base is within its radius, unless a task says otherwise."""
+        assert episode.goal.position is not None
+        return view.distance_to(episode.goal.position) <= episode.goal.radius
 
     @abstractmethod
     def scripted(self, episode: Episode, ground: Ground) -> Policy:
