@@ -139,7 +139,7 @@ class BodyInWorld:
 
         A body without any has its root's origin as both corners.
         """
-        positions, quats, _, _ = self.table.groups(np.array(bullet.raw_states(self.body)))
+        positions, quats, _, _ = self.table.groups(bullet.raw_states(self.body))
         world_from_group = matrices_from_poses(positions, quats)
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         if self._outlines is None:
@@ -161,7 +161,7 @@ class BodyInWorld:
 
     def link_position(self, bullet: Bullet, link: str) -> Vec3:
         """Returns the origin of a link, world frame, metres."""
-        positions, _, _ = self.table.links(np.array(bullet.raw_states(self.body)))
+        positions, _, _ = self.table.links(bullet.raw_states(self.body))
         x, y, z = positions[self._number(link)].tolist()
         return x, y, z
 
@@ -176,7 +176,7 @@ class BodyInWorld:
         group = next(group for group in self._groups if self._row(group) == row + 1)
         if row not in self._link_shapes:
             self._link_shapes[row] = LinkShapes(self.model, group)
-        positions, quats, _, _ = self.table.groups(np.array(bullet.raw_states(self.body)))
+        positions, quats, _, _ = self.table.groups(bullet.raw_states(self.body))
         T_group_world = invert(matrices_from_poses(positions, quats)[row + 1])
         return self._link_shapes[row].nearest(T_group_world[:3, :3] @ np.array(point) + T_group_world[:3, 3])
 

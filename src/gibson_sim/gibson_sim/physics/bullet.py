@@ -11,6 +11,7 @@ import hashlib
 import os
 import tempfile
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,8 @@ _GEAR_ERP = 0.5
 """Part of its error by which a gear corrects itself in a step."""
 _GEAR_FORCE = 1e5
 """N or N m: more than any motor has."""
+_RAYS_FOR_THREADS = 2_000
+"""Rays that are worth starting threads for; a level scan is quicker in one."""
 MAX_BODIES_WITH_RAYS = 24
 """Bodies that rays can leave out: each needs a bit of the 32-bit collision group; Bullet owns the lowest six."""
 
@@ -146,7 +149,15 @@ class Bullet:
             )
             self._names[self._checked(uid, "static body")] = name
             self._static.add(uid)
-            p.changeDynamics(uid, -1, lateralFriction=1.0, restitution=0.0, physicsClientId=self.client)
+            p.changeDynamics(
+                uid,
+                -1,
+                lateralFriction=1.0,
+                restitution=0.0,
+                # PyBullet leaves it awake, and then Bullet looks anew in every step where sleepers touch it.
+                activationState=p.ACTIVATION_STATE_SLEEP,
+                physicsClientId=self.client,
+            )
 
     @staticmethod
     def _checked(uid: int, what: str) -> int:
@@ -308,21 +319,24 @@ class Bullet:
             a, b, link_a, link_b, on_a, on_b, normal = b, a, link_b, link_a, on_b, on_a, tuple(-c for c in normal)
         return EngineContact(self._names.get(a, ""), link_a, self._names.get(b, ""), link_b, on_b, on_a, normal, force, distance)
 
-    def raw_states(self, body: BulletBody) -> list[tuple[float, ...]]:
-        """Returns 13 numbers of the root and of every link below it: see ``frames.FrameTable.groups``."""
-        rows = [self.raw_root(body)]
-        if body.link_count:
-            states = p.getLinkStates(
-                body.uid, body.link_indices, computeLinkVelocity=1, computeForwardKinematics=1, physicsClientId=self.client
-            )
-            # 0, 1: pose of the centre of mass; 6, 7: its velocities. The link frames at 4 and 5 are rounded to 32 bits.
-            rows += [(*s[0], *s[1], *s[6], *s[7]) for s in states]
-        return rows
+    def raw_states(self, *bodies: BulletBody) -> NDArray[np.float64]:
+        """Returns 13 numbers of the root and of every link below it, body by body: see ``frames.FrameTable.groups``."""
+        client, parts = self.client, []
+        for body in bodies:
+            parts += p.getBasePositionAndOrientation(body.uid, client)
+            parts += p.getBaseVelocity(body.uid, client)
+            if body.link_count:
+                # The last two: with velocities, with the kinematics computed anew.
+                for state in p.getLinkStates(body.uid, body.link_indices, 1, 1, client):
+                    # 0, 1: pose of the centre of mass; 6, 7: its velocities. The link frames at 4 and 5 are rounded to 32 bits.
+                    parts += state[0], state[1], state[6], state[7]
+        return np.fromiter(chain.from_iterable(parts), np.float64).reshape(-1, 13)
 
     def raw_root(self, body: BulletBody) -> tuple[float, ...]:
         """Returns the first of ``raw_states``."""
-        position, quat = p.getBasePositionAndOrientation(body.uid, physicsClientId=self.client)
-        linear, angular = p.getBaseVelocity(body.uid, physicsClientId=self.client)
+        client = self.client
+        position, quat = p.getBasePositionAndOrientation(body.uid, client)
+        linear, angular = p.getBaseVelocity(body.uid, client)
         return (*position, *quat, *linear, *angular)
 
     def joint_reading(self, body: BulletBody, indices: Sequence[int]) -> JointReading:
@@ -352,11 +366,12 @@ class Bullet:
     def cast_rays(self, starts: NDArray[np.float64], ends: NDArray[np.float64], ignore: BulletBody | None) -> NDArray[np.float64]:
         """Returns for each ray, (N, 3) to (N, 3), the fraction of its length to the first hit, (N,); +inf = no hit."""
         mask = -1 if ignore is None else -1 & ~(1 << ignore.ray_bit)
+        threads = self._ray_threads if len(starts) > _RAYS_FOR_THREADS else 1
         fractions: list[float] = []
         for i in range(0, len(starts), _RAYS_PER_CALL):
             hits = p.rayTestBatch(
                 starts[i : i + _RAYS_PER_CALL].tolist(), ends[i : i + _RAYS_PER_CALL].tolist(),
-                numThreads=self._ray_threads, collisionFilterMask=mask, physicsClientId=self.client,
+                numThreads=threads, collisionFilterMask=mask, physicsClientId=self.client,
             )  # fmt: skip
             fractions.extend([hit[2] if hit[0] >= 0 else np.inf for hit in hits])
         return np.array(fractions, dtype=np.float64)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from gibson_sim.geometry.transforms import turned
 from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
@@ -52,8 +50,7 @@ class LinkPoses:
     def _read(
         self, bodies: Sequence[BodyInWorld], table: FrameTable, links: tuple[str, ...], stamp_ns: int, step: int, revision: int
     ) -> SceneState:
-        raw = [row for body in bodies for row in self._bullet.raw_states(body.body)]
-        positions, quats, twists = table.links(np.array(raw, dtype=np.float64).reshape(-1, 13))
+        positions, quats, twists = table.links(self._bullet.raw_states(*(body.body for body in bodies)))
         for array in (positions, quats, twists):
             array.setflags(write=False)
         return SceneState(stamp_ns, step, revision, links, positions, quats, twists)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from gibson_sim.physics.engine import pybullet as p
 from gibson_sim.physics.engine_types import BulletBody
 
-_SLEEP_THRESHOLD = 2.5e-5
+_SLEEP_THRESHOLD = 5e-5
 """Sum of the squares of all speeds (m/s, rad/s) of a body below which it falls asleep after 2 s: a few millimetres a second."""
 _BESIDE = 0.02
 """Metres between the boxes about two bodies that may rest on each other."""

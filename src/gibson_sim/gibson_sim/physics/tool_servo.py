@@ -94,7 +94,7 @@ class ToolServo:
         if twist.frame == self._arm.tip_link:
             turn = T_root_tip[:3, :3]
         else:
-            _, quats, _ = self._robot.table.links(np.array(self._bullet.raw_states(self._robot.body)))
+            _, quats, _ = self._robot.table.links(self._bullet.raw_states(self._robot.body))
             root, link = (matrix_from_quat(quats[row]) for row in (0, self._robot.links.index(twist.frame)))
             turn = root.T @ link
         return np.asarray(both @ turn.T).ravel()
