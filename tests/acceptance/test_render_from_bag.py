@@ -21,7 +21,8 @@ from tf2_msgs.msg import TFMessage  # noqa: E402
 from gibson_sim.bags.export.run import export_bag  # noqa: E402
 from gibson_sim.bags.reader import BagReader, header_stamp_ns, image_to_array  # noqa: E402
 from gibson_sim.bags.writer import BagWriter, TopicQos  # noqa: E402
-from gibson_sim.config import RenderBagConfig, RenderConfig  # noqa: E402
+from gibson_sim.client_config import RenderBagConfig  # noqa: E402
+from gibson_sim.config import RenderConfig  # noqa: E402
 from gibson_sim.errors import ConfigError, SceneNotFoundError  # noqa: E402
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy  # noqa: E402
 from gibson_sim.render.renderer import Renderer  # noqa: E402

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from gibson_sim.config import NODE_CONFIGS, PhysicsConfig, RecordConfig
+from gibson_sim.client_config import NODE_CONFIGS, RecordConfig
+from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import ConfigError
 
 

@@ -1,4 +1,4 @@
-"""The settings of every node: each stands once, with its unit, limits and meaning.
+"""The settings of the nodes that simulate: each stands once, with its unit, limits and meaning; ``client_config`` has those of all others.
 
 The same dataclass is filled from ROS parameters (``ros/params.py``), from command-line options (``cli``) and from Python, and is
 printed as a table by ``gibson-sim params --markdown``. An impossible value fails with the same words everywhere.
@@ -7,7 +7,6 @@ printed as a table by ``gibson-sim params --markdown``. An impossible value fail
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.settings import check_settings, setting
@@ -15,7 +14,7 @@ from gibson_sim.types import OUTPUTS, Output
 
 DETAIL_PX = 1.0
 """How far, pixels, levels of detail may put a surface from where it is, unless told otherwise."""
-_VIEWS = (
+VIEWS = (
     "Cameras on no robot, separated by commas: follow, orbit or top, also with what they go with (`follow:left`), "
     "or a YAML file of them; see docs/images.md"
 )
@@ -88,7 +87,7 @@ class PhysicsConfig:
     camera_outputs: str = setting(
         "", f"What every camera draws, separated by commas: {', '.join(OUTPUTS)}; empty = as the robot's file says"
     )
-    views: str = setting("", _VIEWS + "; on topics `view_follow/image_raw` and so on")
+    views: str = setting("", VIEWS + "; on topics `view_follow/image_raw` and so on")
     view_size: str = setting("640x480", "Width and height of views of which no file says more", unit="px")
     view_rate: float = setting(30.0, "Images a second of such views", unit="Hz", minimum=0.001, maximum=1000.0)
     grasp_mode: str = setting(
@@ -178,11 +177,11 @@ class PhysicsConfig:
 
     def wanted_outputs(self) -> tuple[Output, ...]:
         """Returns the outputs in ``camera_outputs``."""
-        return _outputs("camera_outputs", self.camera_outputs)
+        return outputs_of("camera_outputs", self.camera_outputs)
 
     def wanted_view_size(self) -> tuple[int, int]:
         """Returns the width and the height in ``view_size``, pixels."""
-        return _size("view_size", self.view_size)
+        return size_of("view_size", self.view_size)
 
     def wanted_subscribers(self) -> dict[str, int]:
         """Returns how many subscribers each topic of ``wait_for`` must have."""
@@ -195,7 +194,7 @@ class PhysicsConfig:
         return wanted
 
 
-def _outputs(name: str, text: str) -> tuple[Output, ...]:
+def outputs_of(name: str, text: str) -> tuple[Output, ...]:
     """Returns the outputs that a setting names, in the usual order."""
     names = [part.strip() for part in text.split(",") if part.strip()]
     unknown = [part for part in names if part not in OUTPUTS]
@@ -204,7 +203,7 @@ def _outputs(name: str, text: str) -> tuple[Output, ...]:
     return tuple(output for output in OUTPUTS if output in names)
 
 
-def _size(name: str, text: str) -> tuple[int, int]:
+def size_of(name: str, text: str) -> tuple[int, int]:
     """Returns the width and the height, pixels, that a setting holds."""
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal() and 1 <= int(width) <= 16384 and 1 <= int(height) <= 16384):
@@ -285,173 +284,3 @@ def _pairs(name: str, text: str, example: str) -> tuple[tuple[str, str], ...]:
         if part:
             found.append((left, right))
     return tuple(found)
-
-
-@dataclass(frozen=True, slots=True)
-class DriveConfig:
-    """Settings of the drive node: a client that drives the robot by standard topics."""
-
-    drive: str = setting("tour", "tour, forward, square, spin, keyboard, or a file with lines `linear angular seconds`")
-    scene: str = setting(DEFAULT_SCENE, "Scene to plan the tour in; only for tour")
-    robot: str = setting("gibson_bot", "Robot whose size the tour keeps clear; only for tour")
-    length: float = setting(
-        0.0, "Length of the drive; 0 = 30 m for a tour, 2 m for forward", unit="m", minimum=0.0, maximum=10_000.0
-    )
-    linear: float = setting(0.4, "Greatest forward speed", unit="m/s", minimum=0.01, maximum=10.0)
-    angular: float = setting(1.2, "Greatest turning speed", unit="rad/s", minimum=0.01, maximum=20.0)
-    stamped: bool = setting(False, "Send TwistStamped instead of Twist")
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-
-
-@dataclass(frozen=True, slots=True)
-class RecordConfig:
-    """Settings of the record node."""
-
-    output: str = setting("", "Folder of the bag; it must not exist, or be empty")
-    topics: str = setting("", "Topics to record, separated by commas; empty = all")
-    storage: str = setting("mcap", "Kind of the bag's files", choices=("mcap", "sqlite3"))
-    compression: str = setting("none", "Compression of the bag's chunks; sqlite3 has none", choices=("none", "zstd", "lz4"))
-    max_bag_size: int = setting(0, "Begin another file of the bag at this size; 0 = never", unit="bytes", minimum=0)
-    max_bag_duration: float = setting(
-        0.0, "Begin another file of the bag after so much simulation time; 0 = never", unit="s", minimum=0.0
-    )
-    flush_period: float = setting(
-        1.0,
-        "Hand what was recorded to the system so often (wall time): a recorder that is killed loses no more than this",
-        unit="s",
-        minimum=0.05,
-        maximum=60.0,
-    )
-    snapshot_seconds: float = setting(
-        0.0,
-        "Write nothing but keep the last seconds (simulation time) in memory, for ~/snapshot to write; 0 = write everything",
-        unit="s",
-        minimum=0.0,
-    )
-    snapshot_mb: int = setting(
-        1000, "Memory for `snapshot_seconds`: the oldest messages go when it is full", unit="MB", minimum=1
-    )
-    reserve_mb: int = setting(256, "Stop recording, bag intact, when the disk has less than this left", unit="MB", minimum=1)
-    duration: float = setting(0.0, "End after so much simulation time; 0 = never", unit="s", minimum=0.0)
-    summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-        if self.storage == "sqlite3" and self.compression != "none":
-            raise ConfigError(f"setting 'compression' is {self.compression!r}, must be 'none' where 'storage' is 'sqlite3'")
-
-    def wanted_topics(self) -> tuple[str, ...]:
-        """Returns the names in ``topics``; none = all."""
-        return tuple(part.strip() for part in self.topics.split(",") if part.strip())
-
-
-@dataclass(frozen=True, slots=True)
-class SnapshotConfig:
-    """Settings of the snapshot node."""
-
-    output: str = setting(".", "Folder for the PNG files")
-    timeout: float = setting(30.0, "Give up when a camera sent nothing for so long (wall time)", unit="s", minimum=0.1)
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-
-
-@dataclass(frozen=True, slots=True)
-class RenderBagConfig:
-    """Settings of ``gibson-sim render``, which draws a recorded run again."""
-
-    bag: str = setting("", "Folder of the recorded bag")
-    output: str = setting("", "Folder of the new bag; it must not exist, or be empty")
-    cameras: str = setting(
-        "",
-        "Cameras to draw: a YAML file with a section `cameras` as in robot.yaml, their links `<body>/<link>`, or views; empty = the bag's own",
-    )
-    views: str = setting("", _VIEWS + "; they come beside the other cameras")
-    view_size: str = setting("640x480", "Width and height of views of which no file says more", unit="px")
-    view_rate: float = setting(30.0, "Images a second of such views", unit="Hz", minimum=0.001, maximum=1000.0)
-    outputs: str = setting(
-        "", f"What every camera draws, separated by commas: {', '.join(OUTPUTS)}; empty = as the cameras have it"
-    )
-    rate: float = setting(
-        0.0,
-        "Images a second for every camera; 0 = as the cameras have it. Never more than the bag has states, unless `interpolate`",
-        unit="Hz",
-        minimum=0.0,
-        maximum=1000.0,
-    )
-    interpolate: bool = setting(False, "Draw at exactly the times that the rates ask for, between recorded states too")
-    lights: str = setting("", "Other lights: a YAML file with a section `light` as in scene.yaml; empty = the bag's")
-    randomise: str = setting(
-        "",
-        "Rules that change lights, colours, textures and materials: a file, or a name under config/randomisation; empty = none",
-    )
-    randomise_seed: int = setting(0, "Seed of the rules: same seed, same pixels", minimum=0)
-    begin: float = setting(0.0, "Begin so long after the begin of the bag", unit="s", minimum=0.0)
-    end: float = setting(0.0, "End so long after the begin of the bag; 0 = at its end", unit="s", minimum=0.0)
-    copy: str = setting(
-        "auto",
-        "Topics to take over from the bag, separated by commas; auto = all but images and what is made of them, none = none",
-    )
-    compression: str = setting("none", "Compression of the bag's chunks", choices=("none", "zstd", "lz4"))
-    reserve_mb: int = setting(256, "Stop, bag intact, when the disk has less than this left", unit="MB", minimum=1)
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-        self.wanted_outputs()
-        self.wanted_view_size()
-        if self.end and self.end <= self.begin:
-            raise ConfigError(f"setting 'end' is {self.end:g} s, must be after 'begin', {self.begin:g} s, or 0")
-
-    def wanted_outputs(self) -> tuple[Output, ...]:
-        """Returns the outputs in ``outputs``."""
-        return _outputs("outputs", self.outputs)
-
-    def wanted_view_size(self) -> tuple[int, int]:
-        """Returns the width and the height in ``view_size``, pixels."""
-        return _size("view_size", self.view_size)
-
-
-@dataclass(frozen=True, slots=True)
-class ReplayConfig:
-    """Settings of the replay node: it gives a simulation the inputs of a recorded run again."""
-
-    bag: str = setting("", "Folder of the recorded bag")
-    lockstep: bool = setting(False, "Give every input before its step: the simulation must be in lockstep")
-    verify: bool = setting(False, "Compare the digests of every tick with those of the bag")
-    images: bool = setting(True, "Listen to the images that the bag has digests of, so that they are drawn; only for verify")
-    step_hz: int = setting(240, "Physics steps a second, as the simulation has them", unit="Hz", minimum=60, maximum=10_000)
-    publish_hz: int = setting(60, "Ticks a second, as the simulation has them", unit="Hz", minimum=1, maximum=1000)
-    summary_path: str = setting("", "File that gets a JSON summary of the replay at its end; empty = none")
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-
-
-@dataclass(frozen=True, slots=True)
-class TaskConfig:
-    """Settings of the task node: it sets up episodes of a task in a running simulation, and judges them."""
-
-    task: str = setting("point-goal", "Name of the task; `gibson-sim task --list` has them all")
-    seed: int = setting(0, "Seed of the first episode: same seed, same episode", minimum=0)
-    episodes: int = setting(1, "How many episodes, with the seeds that follow", minimum=1, maximum=1_000_000)
-    baseline: str = setting("none", "Who drives: scripted, random, or none = somebody else does; some tasks have more")
-    scene: str = setting("", "Scene that the simulation was started with; empty = that of the task")
-    robot: str = setting("", "Robot that it was started with; empty = that of the task")
-    output: str = setting("", "File that gets all results as JSON; empty = none")
-
-    def __post_init__(self) -> None:
-        check_settings(self)
-
-
-NODE_CONFIGS: dict[str, type[Any]] = {
-    "physics": PhysicsConfig,
-    "render": RenderConfig,
-    "drive": DriveConfig,
-    "record": RecordConfig,
-    "snapshot": SnapshotConfig,
-    "replay": ReplayConfig,
-    "task": TaskConfig,
-}
-"""Node name -> its settings."""

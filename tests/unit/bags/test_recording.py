@@ -14,7 +14,7 @@ import gibson_sim.bags.recording as recording_module
 import gibson_sim.bags.writer as writer_module
 from gibson_sim.bags.recording import MOST_WAITING, Recording, report_lines
 from gibson_sim.bags.writer import TopicQos
-from gibson_sim.config import RecordConfig
+from gibson_sim.client_config import RecordConfig
 from gibson_sim.errors import ConfigError
 
 STRING = "std_msgs/msg/String"

@@ -20,7 +20,7 @@ from gibson_sim.bags.reader import stamp_ns
 from gibson_sim.bags.snapshot_memory import LatchedMessages, SnapshotMemory, Stored
 from gibson_sim.bags.storage import Storage
 from gibson_sim.bags.writer import BagWriter
-from gibson_sim.config import RecordConfig
+from gibson_sim.client_config import RecordConfig
 from gibson_sim.errors import ConfigError, RecordError
 from gibson_sim.types import NS_PER_S
 

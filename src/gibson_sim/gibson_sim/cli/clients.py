@@ -10,7 +10,7 @@ from typing import Any
 
 from gibson_sim.cli.environment import PARENT_VARIABLE, node_environment, require_nodes
 from gibson_sim.cli.options import add_settings, node_arguments, settings_from_args
-from gibson_sim.config import DriveConfig, RecordConfig, SnapshotConfig
+from gibson_sim.client_config import DriveConfig, RecordConfig, SnapshotConfig
 
 
 def add_parser(subparsers: Any) -> None:

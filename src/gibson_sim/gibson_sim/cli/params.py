@@ -7,7 +7,7 @@ import math
 from dataclasses import Field, fields
 from typing import Any
 
-from gibson_sim.config import NODE_CONFIGS
+from gibson_sim.client_config import NODE_CONFIGS
 
 
 def add_parser(subparsers: Any) -> None:

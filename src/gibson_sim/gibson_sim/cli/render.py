@@ -11,7 +11,8 @@ from typing import Any
 
 from gibson_sim.cli.environment import PARENT_VARIABLE, node_environment, require_nodes
 from gibson_sim.cli.options import add_settings, given, settings_from_args
-from gibson_sim.config import RenderBagConfig, RenderConfig
+from gibson_sim.client_config import RenderBagConfig
+from gibson_sim.config import RenderConfig
 from gibson_sim.resources import find_config
 
 _RENDER = ("egl_device", "egl_uuid", "egl_library", "detail_px", "compress_textures", "cache", "register_depth", "asset_roots")

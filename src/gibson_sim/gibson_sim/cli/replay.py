@@ -14,7 +14,8 @@ from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.exit_codes import ExitCode
 from gibson_sim.cli.job import CAMERAS, STATE_TOPIC, Job, check_new_bag, run_job, say
 from gibson_sim.cli.options import add_settings, given, settings_from_args
-from gibson_sim.config import PhysicsConfig, RecordConfig, RenderConfig, ReplayConfig
+from gibson_sim.client_config import RecordConfig, ReplayConfig
+from gibson_sim.config import PhysicsConfig, RenderConfig
 from gibson_sim.errors import ConfigError, RecordError
 from gibson_sim.resources import find_scene
 

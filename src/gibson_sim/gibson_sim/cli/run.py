@@ -10,7 +10,8 @@ from typing import Any
 from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.job import CAMERAS, ROBOTS, STATE_TOPIC, Job, check_new_bag, run_job
 from gibson_sim.cli.options import add_settings, settings_from_args
-from gibson_sim.config import DriveConfig, PhysicsConfig, RecordConfig, RenderConfig, SnapshotConfig
+from gibson_sim.client_config import DriveConfig, RecordConfig, SnapshotConfig
+from gibson_sim.config import PhysicsConfig, RenderConfig
 from gibson_sim.errors import ConfigError
 from gibson_sim.resources import find_config, find_scene
 

@@ -12,7 +12,7 @@ from typing import Any
 from gibson_sim.cli.environment import PARENT_VARIABLE, node_environment, require_nodes
 from gibson_sim.cli.options import add_settings, node_arguments, settings_from_args
 from gibson_sim.cli.report_file import write_json
-from gibson_sim.config import TaskConfig
+from gibson_sim.client_config import TaskConfig
 from gibson_sim.errors import ConfigError
 
 

@@ -15,7 +15,7 @@ from nav_msgs.msg import Odometry
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from gibson_sim.config import DriveConfig
+from gibson_sim.client_config import DriveConfig
 from gibson_sim.errors import ConfigError
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.path_tracking import PathFollower, ScriptedDrive, scripted_drive

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from gibson_sim.bags.recording import Recording, report_lines
-from gibson_sim.config import RecordConfig
+from gibson_sim.client_config import RecordConfig
 from gibson_sim.errors import RecordError
 from gibson_sim.ros import names, qos
 from gibson_sim.ros.executor import make_executor

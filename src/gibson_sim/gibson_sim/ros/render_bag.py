@@ -23,7 +23,8 @@ from gibson_sim.bags.progress import Advance, no_progress, progress_bar
 from gibson_sim.bags.reader import BagReader
 from gibson_sim.bags.rerender import SCENE_TYPE, STATE_TYPE, Schedule, scene_topics, state_period_ns, topics_to_copy
 from gibson_sim.bags.writer import BagWriter, Compression
-from gibson_sim.config import RenderBagConfig, RenderConfig
+from gibson_sim.client_config import RenderBagConfig
+from gibson_sim.config import RenderConfig
 from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.geometry.transforms import Mat4, invert
 from gibson_sim.render.renderer import Renderer

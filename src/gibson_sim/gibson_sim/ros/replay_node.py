@@ -17,7 +17,7 @@ from sensor_msgs.msg import Image
 from gibson_msgs.msg import Input, RunInfo, SceneState, TickDigest
 from gibson_sim.bags.digest_comparison import DigestComparison, Tick, TickDigests
 from gibson_sim.bags.replaying import InputSchedule, RecordedCommand, RecordedInput, read_run
-from gibson_sim.config import ReplayConfig
+from gibson_sim.client_config import ReplayConfig
 from gibson_sim.errors import ConfigError, RecordError
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.executor import make_executor

@@ -15,7 +15,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Image
 
 from gibson_msgs.msg import Scene
-from gibson_sim.config import SnapshotConfig
+from gibson_sim.client_config import SnapshotConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.node_main import run_node, spin_while

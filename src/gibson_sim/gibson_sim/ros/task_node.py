@@ -20,7 +20,7 @@ from std_msgs.msg import Bool, String
 from std_srvs.srv import Trigger
 
 from gibson_msgs.msg import Contacts, GraspState, Scene, SceneState as RosSceneState
-from gibson_sim.config import TaskConfig
+from gibson_sim.client_config import TaskConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.executor import make_executor
