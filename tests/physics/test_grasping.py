@@ -98,8 +98,7 @@ def test_threshold_is_a_setting(make_world: MakeWorld) -> None:
 
 def test_handle_is_preferred_to_what_is_nearer_and_what_cannot_move_is_never_taken(make_world: MakeWorld) -> None:
     near = (TOOL[0], TOOL[1] + 0.08, TOOL[2])
-    wall = (TOOL[0], TOOL[1] - 0.06, TOOL[2])
-    things = (door((TOOL[0] + 0.15, *TOOL[1:])), cube("cup", near, size=0.1), cube("wall", wall, static=True))
+    things = (door((TOOL[0] + 0.15, *TOOL[1:])), cube("cup", near, size=0.1), cube("wall", ahead(0.02), static=True))
     with make_world(*things) as world:
         state = world.grasp("robot")
         assert (state.body, state.link) == ("door", "handle")

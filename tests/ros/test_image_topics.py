@@ -433,6 +433,37 @@ def test_a_state_that_comes_before_its_scene_is_drawn_when_that_arrives(rig: Rig
     rig.spin_until(lambda: early in map(_stamp, images), "the early image")
 
 
+def test_a_state_that_comes_before_the_last_of_two_scenes_is_drawn_when_that_arrives(rig: Rig) -> None:
+    rig.render()
+    rig.load(_scene(EYE))
+    images = rig.collect(Image, "eye/image_raw")
+    rig.tick_until(lambda: bool(images), "images")
+    between, later = _scene(EYE, revision=2), _scene(EYE, revision=3)
+    rig.scene = later
+    early = rig.tick()
+    for scene in (between, later):
+        for _ in range(20):
+            rig.spin()
+        assert early not in map(_stamp, images)
+        rig.load(scene)
+    rig.spin_until(lambda: early in map(_stamp, images), "the early image")
+
+
+def test_a_state_that_waits_behind_one_of_the_old_scene_is_drawn_when_its_scene_arrives(rig: Rig) -> None:
+    rig.render()
+    rig.load(_scene(EYE))
+    images = rig.collect(Image, "eye/image_raw")
+    rig.tick_until(lambda: bool(images), "images")
+    rig.tick()
+    rig.scene = later = _scene(EYE, revision=2)
+    early = rig.tick()
+    for _ in range(20):
+        rig.spin()
+    assert early not in map(_stamp, images)
+    rig.load(later)
+    rig.spin_until(lambda: early in map(_stamp, images), "the early image")
+
+
 def test_topics_go_with_their_camera(rig: Rig) -> None:
     rig.render()
     rig.load(_scene(EYE, replace(EYE, name="second")))

@@ -557,6 +557,8 @@ ABSENT = BALL.replace('<sphere radius="0.1"/>', '<mesh filename="package://nothi
         ({"name": "x", "resource_string": BALL, "initial_pose": placed(x=math.nan)}, 109),
         ({"name": "x", "resource_string": BALL, "initial_pose": placed(orientation=(9.0, 0.0, 0.0, 0.0))}, 109),
         ({"name": "x", "resource_string": BALL, "initial_pose": placed("moon")}, 109),
+        # Inside the wall in front.
+        ({"name": "x", "uri": "gibson_bot", "entity_namespace": "x", "initial_pose": placed(x=2.0)}, 109),
     ],
 )
 def test_what_cannot_be_spawned_is_refused_and_leaves_nothing(start: Client, fields: dict[str, Any], code: int) -> None:

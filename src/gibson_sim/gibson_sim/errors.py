@@ -10,6 +10,7 @@
       RobotError                   a robot description cannot be used
       CommandError                 a command cannot be executed (a NaN velocity)
       PhysicsError                 the physics engine refused
+        StartError                 a robot would start inside of something
       RenderError                  the renderer refused
         GraphicsUnavailableError   no EGL, no usable device
         SceneMismatchError         a state belongs to another scene than the one loaded
@@ -56,6 +57,10 @@ class CommandError(GibsonSimError):
 
 class PhysicsError(GibsonSimError):
     """The physics engine refused."""
+
+
+class StartError(PhysicsError):
+    """A robot would start inside of something."""
 
 
 class RenderError(GibsonSimError):

@@ -376,6 +376,15 @@ def test_model_of_more_than_500_links_is_refused() -> None:
     assert "501 links" in str(error)
 
 
+def test_model_of_more_joints_than_can_move_is_refused() -> None:
+    links = "".join(f"<link name='l{i}'/>" for i in range(201))
+    ends = "".join(f"<joint name='j{i}' type='revolute'><parent link='l{i}'/><child link='l{i + 1}'/></joint>" for i in range(200))
+    error = _error(text=f"<robot name='snake'>{links}{ends}</robot>")
+    assert error.code is CODES.RESOURCE_PARSE_ERROR
+    assert "has 200 joints that move" in str(error)
+    assert "at most 121 can move" in str(error)
+
+
 def test_model_that_includes_itself_twice_is_an_error_soon(tmp_path: Path) -> None:
     include = "<include><uri>model://loop</uri></include>" * 2
     path = _write(tmp_path / "loop" / "model.sdf", _sdf().replace("<link", include + "<link"))

@@ -22,11 +22,11 @@ from gibson_sim.geometry.transforms import invert, matrix_from_pose
 from gibson_sim.physics.arms import Arms
 from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
-from gibson_sim.physics.kinematics import ChainSolution
 from gibson_sim.physics.link_poses import link_pose
 from gibson_sim.robots.collision_count import CollisionCount
 from gibson_sim.robots.grasping import GraspState
 from gibson_sim.robots.joint_commands import JointCommand, JointPositions
+from gibson_sim.robots.kinematics import ChainSolution
 from gibson_sim.robots.servo import ToolTwist
 from gibson_sim.types import Pose, SceneState
 

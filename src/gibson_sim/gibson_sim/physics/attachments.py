@@ -1,9 +1,12 @@
-"""What holds two links together for a while: a hand a handle, a gripper a cup. Ball joints and rigid ones, with a greatest force."""
+"""What holds two links together for a while: a hand a handle, a gripper a cup. Ball joints and rigid ones, with a greatest force.
+
+``force_limits`` says how the engine's limits for each axis, and a part of the force that is given in advance, make one for all directions.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,13 +17,15 @@ from gibson_sim.errors import PhysicsError
 from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.engine import pybullet as p
+from gibson_sim.physics.force_limits import cube_of, given_in_advance, reach_of
 from gibson_sim.physics.frames import turn
 from gibson_sim.types import Quat, Vec3
 
 AttachmentKind = Literal["ball", "fixed"]
 ATTACHMENT_KINDS: tuple[AttachmentKind, ...] = ("ball", "fixed")
-_AXES = math.sqrt(3.0)
-"""The engine limits the force along each axis of the world; along all three at once it is so much larger."""
+_NOTHING: Vec3 = (0.0, 0.0, 0.0)
+_ON_CHILD: dict[AttachmentKind, float] = {"ball": 1.0, "fixed": -1.0}
+"""Sign of the force on the child by what the engine says of a constraint of each kind."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +42,8 @@ class Attachment:
     kind: AttachmentKind
     """ball: one point of each stays where the other's is; fixed: they do not turn against each other either."""
     max_force: float
-    """N, in any direction, and, for a fixed one, N m about any axis; what pulls harder pulls them apart."""
+    """N, in any direction, and, for a fixed one, N m about any axis; what pulls harder pulls them apart. See ``force_limits``: a steady
+    pull is borne up to 97 % of it, and in no step more than 104 %."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +54,25 @@ class AttachmentLoad:
     """N."""
     torque: float
     """N m; 0 for a ball."""
+
+
+@dataclass(slots=True)
+class _Held:
+    """One attachment in the engine. Forces are as the engine tells them: those on the child, or on the parent."""
+
+    attachment: Attachment
+    number: int
+    """The engine's."""
+    ends: tuple[tuple[BodyInWorld, int, list[float]], ...]
+    """The parent, then the child: which row of ``Bullet.raw_states`` moves it, and where the joint is in that row's frame, metres."""
+    half: float
+    """Limit of each axis in the next step, N or N m."""
+    force: Vec3 = _NOTHING
+    """Given in advance in the next step, N, world frame."""
+    torque: Vec3 = _NOTHING
+    """N m."""
+    borne: tuple[Vec3, Vec3] = (_NOTHING, _NOTHING)
+    """Force and torque in the last step."""
 
 
 class Attachments:
@@ -61,14 +86,14 @@ class Attachments:
             find: Returns a robot or a body by its name, or raises PhysicsError.
         """
         self._bullet, self._find = bullet, find
-        self._held: dict[int, tuple[Attachment, int]] = {}
-        """By handle, with the engine's number."""
+        self._held: dict[int, _Held] = {}
+        """By handle."""
         self._next = 1
 
     @property
     def all(self) -> tuple[Attachment, ...]:
         """What is held now, the oldest first."""
-        return tuple(attachment for attachment, _ in self._held.values())
+        return tuple(held.attachment for held in self._held.values())
 
     def attach(
         self,
@@ -82,9 +107,6 @@ class Attachments:
         point: Vec3 | None = None,
     ) -> int:
         """Holds two links together as they lie now, at whatever distance: nothing jumps. Returns the handle.
-
-        The engine limits the force along each axis alone, to a part of ``max_force`` that keeps the whole below it: along an axis of
-        the world it holds 58 % of it, along a diagonal of the three all.
 
         Args:
             parent: Robot or body, usually what holds.
@@ -109,32 +131,48 @@ class Attachments:
         pivot = np.array(a.link_position(self._bullet, parent_link) if point is None else point, dtype=np.float64)
         if not np.isfinite(pivot).all():
             raise PhysicsError(f"point of an attachment is {point}, must be finite")
-        at_a, turn_a = _in_inertial(self._bullet.raw_states(a.body)[row_a], pivot)
-        at_b, turn_b = _in_inertial(self._bullet.raw_states(b.body)[row_b], pivot)
+        at_a, turn_a = _in_inertial(tuple(self._bullet.raw_states(a.body)[row_a].tolist()), pivot)
+        at_b, turn_b = _in_inertial(tuple(self._bullet.raw_states(b.body)[row_b].tolist()), pivot)
         client = self._bullet.client
         joint = p.JOINT_POINT2POINT if kind == "ball" else p.JOINT_FIXED
         number = p.createConstraint(
             a.body.uid, row_a - 1, b.body.uid, row_b - 1, joint, [0.0, 0.0, 0.0], at_a, at_b, turn_a, turn_b,
             physicsClientId=client,
         )  # fmt: skip
-        p.changeConstraint(number, maxForce=max_force / _AXES, physicsClientId=client)
         handle, self._next = self._next, self._next + 1
-        self._held[handle] = Attachment(handle, parent, parent_link, child, child_link, kind, max_force), number
+        ends = (a, row_a, at_a), (b, row_b, at_b)
+        held = _Held(Attachment(handle, parent, parent_link, child, child_link, kind, max_force), number, ends, 0.0)
+        self._held[handle] = held
+        self._limit(held)
         self._wake(a, b)
         return handle
 
     def detach(self, handle: int) -> None:
         """Lets go; PhysicsError where nothing of this number is held."""
-        attachment, number = self._one(handle)
-        p.removeConstraint(number, physicsClientId=self._bullet.client)
+        held = self._one(handle)
+        p.removeConstraint(held.number, physicsClientId=self._bullet.client)
         del self._held[handle]
-        self._wake(self._find(attachment.parent), self._find(attachment.child))
+        self._wake(self._find(held.attachment.parent), self._find(held.attachment.child))
 
     def load(self, handle: int) -> AttachmentLoad:
         """Returns what it bore in the last step; PhysicsError where nothing of this number is held."""
-        _, number = self._one(handle)
-        state = p.getConstraintState(number, physicsClientId=self._bullet.client)
-        return AttachmentLoad(math.hypot(*state[:3]), math.hypot(*state[3:]))
+        force, torque = self._one(handle).borne
+        return AttachmentLoad(math.hypot(*force), math.hypot(*torque))
+
+    def before_step(self) -> None:
+        """Gives what is given in advance; call it before every step."""
+        for held in self._held.values():
+            if any(held.force) or any(held.torque):
+                sign = _ON_CHILD[held.attachment.kind]
+                self._push(*held.ends[1], sign, held)
+                self._push(*held.ends[0], -sign, held)
+
+    def after_step(self) -> None:
+        """Reads what all bore; call it after every step."""
+        for held in self._held.values():
+            state = p.getConstraintState(held.number, physicsClientId=self._bullet.client)
+            held.borne = _sum(held.force, state[:3]), _sum(held.torque, state[3:] or _NOTHING)
+            self._limit(held)
 
     def detach_all(self, body: str | None = None) -> None:
         """Lets go of everything that holds ``body``, or is held by it; None = of everything."""
@@ -144,11 +182,29 @@ class Attachments:
 
     def wake_beside(self, body: str) -> None:
         """Wakes what holds ``body``, or is held by it: a body that is put elsewhere pulls at it, however far it is."""
-        for attachment, _ in self._held.values():
+        for attachment in self.all:
             if body in (attachment.parent, attachment.child):
                 self._wake(self._find(attachment.parent), self._find(attachment.child))
 
-    def _one(self, handle: int) -> tuple[Attachment, int]:
+    def _limit(self, held: _Held) -> None:
+        """Sets the limit of each axis, and what is given in advance, for the next step."""
+        most, reaches = held.attachment.max_force, [reach_of(held.attachment.max_force, borne) for borne in held.borne]
+        half = min(cube_of(most, reach) for reach in reaches)
+        held.force, held.torque = (given_in_advance(borne, reach, half) for borne, reach in zip(held.borne, reaches, strict=True))
+        if half != held.half:
+            held.half = half
+            p.changeConstraint(held.number, maxForce=half, physicsClientId=self._bullet.client)
+
+    def _push(self, one: BodyInWorld, row: int, at: list[float], sign: float, held: _Held) -> None:
+        """Gives one end the force at the joint, and the torque, in the next step."""
+        raw, client = self._bullet.raw_states(one.body)[row], self._bullet.client
+        point = (raw[:3] + turn(raw[None, 3:7], np.array([at]))[0]).tolist()
+        force, torque = [sign * c for c in held.force], [sign * c for c in held.torque]
+        p.applyExternalForce(one.body.uid, row - 1, force, point, p.WORLD_FRAME, physicsClientId=client)
+        if any(torque):
+            p.applyExternalTorque(one.body.uid, row - 1, torque, p.WORLD_FRAME, physicsClientId=client)
+
+    def _one(self, handle: int) -> _Held:
         if handle not in self._held:
             held = ", ".join(str(number) for number in self._held) or "none"
             raise PhysicsError(f"nothing is attached with handle {handle}; attached are: {held}")
@@ -157,6 +213,10 @@ class Attachments:
     def _wake(self, *bodies: BodyInWorld) -> None:
         for one in bodies:
             self._bullet.wake(one.body)
+
+
+def _sum(a: Sequence[float], b: Sequence[float]) -> Vec3:
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def _in_inertial(raw: tuple[float, ...], point: NDArray[np.float64]) -> tuple[list[float], Quat]:

@@ -17,9 +17,9 @@ from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.engine_types import BulletBody
 from gibson_sim.physics.frames import FrameTable, right_multiplication
 from gibson_sim.physics.joint_motors import JointMotors
-from gibson_sim.physics.kinematics import Chain
 from gibson_sim.physics.link_shapes import LinkShapes
 from gibson_sim.robots.joint_commands import JointCommand
+from gibson_sim.robots.kinematics import Chain
 from gibson_sim.robots.rigid import MOVING_TYPES, RigidGroup, physics_urdf, rigid_groups
 from gibson_sim.robots.spec import Shape
 from gibson_sim.robots.urdf import UrdfModel
@@ -59,6 +59,7 @@ class BodyInWorld:
         self._groups = tuple(self._readable(bullet, group) for group in groups)
         self._urdf = physics_urdf(model, self._groups, concave=static)
         self.load(bullet)
+        self._names_of_rows = {self._row(group) - 1: group.name for group in self._groups}
         self.table = self._frame_table()
         self._root_table = self.table.root
         self._chains: dict[tuple[str, tuple[str, ...] | None], Chain] = {}
@@ -187,10 +188,9 @@ class BodyInWorld:
 
     def link_of_row(self, row: int) -> str:
         """Returns the name of the link whose rigid group is the engine's link ``row`` (-1 = the root)."""
-        for group in self._groups:
-            if self._row(group) == row + 1:
-                return group.name
-        raise PhysicsError(f"body {self.name!r} has no link number {row}")
+        if row not in self._names_of_rows:
+            raise PhysicsError(f"body {self.name!r} has no link number {row}")
+        return self._names_of_rows[row]
 
     def _readable(self, bullet: Bullet, group: RigidGroup) -> RigidGroup:
         """Returns the group with meshes in files that the engine reads; a mesh that cannot be read is left out, with a warning."""
@@ -204,7 +204,7 @@ class BodyInWorld:
 
     def _readable_shape(self, bullet: Bullet, shape: Shape) -> Shape:
         if shape.kind != "mesh" or (not self.static and shape.mesh.lower().endswith(_ENGINE_MESHES)):
-            return shape
+            return replace(shape, mesh=str(bullet.copy_obj(shape.mesh))) if shape.mesh.lower().endswith(".obj") else shape
         vertices, triangles = load_shape(shape, [Path(shape.mesh).parent]).merged() if self.static else hull_of(shape)
         return Shape("mesh", (1.0, 1.0, 1.0), str(bullet.write_mesh(vertices, triangles)))
 

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.errors import PhysicsError
+from gibson_sim.errors import MeshError, PhysicsError
 from gibson_sim.physics.engine import pybullet as p, quiet
 from gibson_sim.physics.engine_types import BulletBody, EngineContact, JointReading
 from gibson_sim.physics.frames import cross, product, turn
 from gibson_sim.physics.mesh_pieces import mesh_pieces
-from gibson_sim.physics.obj_text import to_obj
+from gibson_sim.physics.obj_text import to_obj, without_materials
 from gibson_sim.physics.sleeping import Sleepers
 from gibson_sim.robots.mimic import Mimic
 from gibson_sim.types import Pose, Quat, Vec3
@@ -181,10 +181,24 @@ class Bullet:
             vertices: (V, 3), metres.
             triangles: (T, 3) indices into ``vertices``.
         """
-        text = to_obj(vertices, triangles)
-        path = self.folder / f"{hashlib.sha256(text.encode()).hexdigest()[:32]}.obj"
+        return self._write_obj(to_obj(vertices, triangles).encode())
+
+    def copy_obj(self, path: str) -> Path:
+        """Returns an OBJ file with the shapes of another one alone: the engine would read its textures, too, and never let them go.
+
+        Raises:
+            MeshError: it cannot be read.
+        """
+        try:
+            text = Path(path).read_bytes()
+        except OSError as error:
+            raise MeshError(f"{path}: cannot be read: {error.strerror}") from error
+        return self._write_obj(without_materials(text))
+
+    def _write_obj(self, text: bytes) -> Path:
+        path = self.folder / f"{hashlib.sha256(text).hexdigest()[:32]}.obj"
         if not path.is_file():
-            path.write_text(text)
+            path.write_bytes(text)
         return path
 
     def wake(self, body: BulletBody) -> None:
@@ -311,6 +325,12 @@ class Bullet:
         """Returns where a link (-1 = the root) and the links of another body are nearest, if within ``radius`` metres; no forces."""
         points = p.getClosestPoints(body.uid, other.uid, radius, linkIndexA=link, physicsClientId=self.client) or ()
         return [self._contact(point, body.uid) for point in points]
+
+    def overlaps(self, body: BulletBody, others: Sequence[BulletBody]) -> list[EngineContact]:
+        """Returns where a body is inside of static shapes or of other bodies as they stand now; no forces, and nothing is remembered."""
+        client, uids = self.client, [*self._static, *(other.uid for other in others)]
+        points = (p.getClosestPoints(body.uid, uid, 0.0, physicsClientId=client) or () for uid in uids)
+        return [self._contact(point, body.uid) for point in chain.from_iterable(points)]
 
     def _contact(self, point: tuple[Any, ...], uid: int) -> EngineContact:
         """Returns a point as PyBullet gives it, as seen by the body ``uid``."""

@@ -16,6 +16,11 @@ def to_obj(vertices: NDArray[np.float64], triangles: NDArray[Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def without_materials(text: bytes) -> bytes:
+    """Returns the text of an OBJ file without the names of its material libraries."""
+    return b"".join(line for line in text.splitlines(keepends=True) if not line.lstrip().startswith(b"mtllib"))
+
+
 def objects_of_obj(lines: Sequence[str]) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
     """Returns vertices, (V, 3), and triangles, (T, 3), of each object that has any in the lines of an OBJ file."""
     points = np.array([line.split()[1:4] for line in lines if line.startswith("v ")], dtype=np.float64).reshape(-1, 3)

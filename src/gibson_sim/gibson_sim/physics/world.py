@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gibson_sim.errors import CommandError, ConfigError, PhysicsError
+from gibson_sim.errors import CommandError, ConfigError, PhysicsError, StartError
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.physics.arm_commands import ArmCommands
 from gibson_sim.physics.arms import Arms
@@ -22,6 +22,7 @@ from gibson_sim.physics.engine_types import EngineContact
 from gibson_sim.physics.link_poses import LinkPoses, link_pose, link_twist
 from gibson_sim.physics.proximity import Neighbour, neighbours
 from gibson_sim.physics.robot import RobotInWorld
+from gibson_sim.physics.starts import check_starts
 from gibson_sim.physics.static_shapes import add_static_shapes
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.grasping import GraspSettings
@@ -63,7 +64,7 @@ class PhysicsWorld(ArmCommands):
         Raises:
             ConfigError: a setting is impossible.
             RobotError: a robot cannot be used.
-            PhysicsError: the engine refuses.
+            PhysicsError: the engine refuses, or a robot would start inside of something (StartError).
         """
         if step_hz != int(step_hz) or not 1 <= step_hz <= 100_000:
             raise ConfigError(f"step_hz is {step_hz}, must be a whole number from 1 to 100000")
@@ -97,6 +98,7 @@ class PhysicsWorld(ArmCommands):
             for body in scene.bodies:
                 self._load_body(body)
             self._poses.change_bodies(self._all())
+            check_starts(self._bullet, self._robots.values(), self._all())
         except BaseException:
             self._bullet.close()
             raise
@@ -117,11 +119,16 @@ class PhysicsWorld(ArmCommands):
         """Puts a robot into the world, at its start, from the next step on.
 
         Raises:
-            PhysicsError: the name is taken, or the engine refuses.
+            PhysicsError: the name is taken, the engine refuses, or it would start inside of something (StartError).
             RobotError: the robot cannot be used.
         """
         self._check_new(spec.name)
         self._load_robot(spec)
+        try:
+            check_starts(self._bullet, [self._robots[spec.name]], self._all())
+        except StartError:
+            self._bullet.remove(self._robots.pop(spec.name).body)
+            raise
         self._changed(robots=(*self.scene.robots, spec))
 
     def add_body(self, spec: BodySpec) -> None:
@@ -255,7 +262,9 @@ class PhysicsWorld(ArmCommands):
                 robot.actuate(bullet, now_ns, self._timeout_ns, dt)
             for body in commanded:
                 body.actuate_joints(bullet, now_ns, dt)
+            self.attachments.before_step()
             bullet.step()
+            self.attachments.after_step()
             self._step_count += 1
             for robot in robots:
                 robot.read_wheels(bullet, dt)

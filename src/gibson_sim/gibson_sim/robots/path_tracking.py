@@ -130,7 +130,7 @@ class PathFollower:
 
     def _nearest(self, here: F64, first: float, last: float) -> float:
         """Returns the arc length of the nearest point between two arc lengths."""
-        i = max(int(np.searchsorted(self._arc, first, side="right")) - 1, 0)
+        i = min(max(int(np.searchsorted(self._arc, first, side="right")) - 1, 0), len(self._points) - 2)
         j = max(int(np.searchsorted(self._arc, last, side="left")), i + 1)
         a, b = self._points[i:j], self._points[i + 1 : j + 1]
         along = b - a

@@ -220,9 +220,11 @@ class _Reader(XmlValues):
         kg = self.numbers(mass, "value", 1, where)[0]
         if kg < 0:
             raise RobotError(f"{self.path}: {where}: mass is {kg:g} kg, must not be negative")
-        ixx, ixy, ixz, iyy, iyz, izz = (
-            0.0 if inertia is None else self.optional(inertia, key, where) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        )
+        keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+        ixx, ixy, ixz, iyy, iyz, izz = (0.0 if inertia is None else self.optional(inertia, key, where) for key in keys)
+        for key, value in (("ixx", ixx), ("iyy", iyy), ("izz", izz)):
+            if value < 0:
+                raise RobotError(f"{self.path}: {where}: {key} is {value:g} kg m^2, must not be negative; is its sign wrong?")
         return Inertial(kg, self.origin(element, where), (ixx, ixy, ixz, iyy, iyz, izz))
 
     def shape(self, element: ET.Element, where: str) -> Shape | None:

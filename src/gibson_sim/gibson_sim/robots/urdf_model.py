@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from gibson_sim.errors import RobotError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
 from gibson_sim.robots.mimic import Mimic
@@ -104,9 +106,24 @@ class UrdfJoint:
         """Returns T_zero_child, (4, 4): how far ``position`` (radians or metres) moves the child from where it is at 0."""
         x, y, z = self.axis
         if self.kind == "prismatic":
-            return matrix_from_pose(Pose((x * position, y * position, z * position)))
-        half = math.sin(position / 2)
-        return matrix_from_pose(Pose((0.0, 0.0, 0.0), (x * half, y * half, z * half, math.cos(position / 2))))
+            return np.array(
+                [
+                    [1.0, 0.0, 0.0, x * position],
+                    [0.0, 1.0, 0.0, y * position],
+                    [0.0, 0.0, 1.0, z * position],
+                    [0.0, 0.0, 0.0, 1.0],
+                ]
+            )
+        s, c = math.sin(position), math.cos(position)
+        v = 1.0 - c
+        return np.array(
+            [
+                [c + x * x * v, x * y * v - z * s, x * z * v + y * s, 0.0],
+                [x * y * v + z * s, c + y * y * v, y * z * v - x * s, 0.0],
+                [x * z * v - y * s, y * z * v + x * s, c + z * z * v, 0.0],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -101,9 +101,11 @@ class RenderNode(Node):
             return
         for camera in self._cameras.values():
             camera.publish_labels(scene, conversions.time_from_msg(msg.header.stamp))
-        early, self._early = self._early, None
-        if early is not None and early.revision == scene.revision:
-            self._take([early])
+        early = self._early
+        if early is not None and early.revision <= scene.revision:  # a later one waits for a scene that is still to come
+            self._early = None
+            if early.revision == scene.revision:
+                self._take([early])
 
     def _load(self, scene: DrawnScene, warnings: Sequence[str]) -> None:
         started = time.monotonic()
@@ -187,10 +189,11 @@ class RenderNode(Node):
         """Keeps the newest state of a revision whose scene is still to come; warns where it does not come."""
         assert self._scene is not None
         foreign = [state for state in states if state.revision != self._scene.revision]
+        waiting = next((state for state in reversed(foreign) if state.due_cameras), None)
         if ours or not foreign:
-            self._early, self._foreign_since = None, 0.0
+            self._early, self._foreign_since = waiting, 0.0
             return
-        self._early = next((state for state in reversed(foreign) if state.due_cameras), self._early)
+        self._early = waiting or self._early
         self._foreign_since = self._foreign_since or time.monotonic()
         if time.monotonic() - self._foreign_since > _SCENE_PATIENCE_S:
             self.get_logger().warning(

@@ -1,6 +1,7 @@
 """The task node: sets up episodes of a task in a running simulation, judges them, and drives where a baseline is asked for.
 
-It is a client as any other: it spawns and deletes by simulation_interfaces, drives by velocities, and knows what is published.
+It is a client as any other: it spawns and deletes by simulation_interfaces, drives by velocities, and knows what is published. With a
+baseline it takes part in lockstep, where there is one: time waits while it thinks.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from gibson_sim.client_config import TaskConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.executor import make_executor
+from gibson_sim.ros.lockstep_client import LockstepParticipant
 from gibson_sim.ros.node_main import goes_on, run_node
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.scenes.spec import WORLD_FRAME
@@ -60,7 +62,7 @@ class TaskNode(Node):
         task/reset (std_srvs/Trigger): ends the episode and begins the next one; the message is its task/info.
 
     Calls:
-        spawn_entity, delete_entity, set_entity_state.
+        spawn_entity, delete_entity, set_entity_state, reset_simulation.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -73,9 +75,17 @@ class TaskNode(Node):
         self._links: dict[int, tuple[str, ...]] = {}
         self._scene_name = ""
         self._state: SceneState | None = None
+        self._early: RosSceneState | None = None
+        """A state whose scene is still on its way."""
         self._joints: dict[str, float] = {}
+        self._joints_ns = self._grasp_ns = -1
+        self._awaited_ns: int | None = None
+        """Stamp of the state that is answered with commands; None = of no state."""
+        self._unanswered: Any = None
+        """Stamp of the tick that waits for commands."""
         self._held, self._touched = "", frozenset[str]()
         self._reset_asked = False
+        self._next_seed = config.seed
         self._spawned: list[str] = []
         self._results: list[Metrics] = []
         self._subscribe()
@@ -88,9 +98,12 @@ class TaskNode(Node):
         self._spawn = self.create_client(srv.SpawnEntity, "spawn_entity")
         self._delete = self.create_client(srv.DeleteEntity, "delete_entity")
         self._place = self.create_client(srv.SetEntityState, "set_entity_state")
+        self._reset = self.create_client(srv.ResetSimulation, "reset_simulation")
         self.create_service(Trigger, RESET, self._on_reset)
         self._executor = make_executor()
         self._executor.add_node(self)
+        drives = config.baseline != "none"
+        self._lockstep = LockstepParticipant(self, after=names.SCENE_STATE) if drives else None
 
     def _subscribe(self) -> None:
         self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
@@ -103,11 +116,28 @@ class TaskNode(Node):
     def _on_scene(self, msg: Scene) -> None:
         scene = conversions.scene_from_msg(msg)
         self._scene_name, self._links[scene.revision] = scene.name, scene.links
+        if self._early is not None and self._early.revision == scene.revision:
+            self._state, self._early = conversions.scene_state_from_msg(self._early, scene.links), None
 
     def _on_state(self, msg: RosSceneState) -> None:
         links = self._links.get(msg.revision)
-        if links is not None:
-            self._state = conversions.scene_state_from_msg(msg, links)
+        if links is None:
+            self._early = msg
+        else:
+            self._state, self._early = conversions.scene_state_from_msg(msg, links), None
+        if self._lockstep is None:
+            return
+        if self._awaited_ns is None or conversions.time_from_msg(msg.header.stamp) < self._awaited_ns:
+            self._lockstep.done(msg.header.stamp)
+        else:
+            self._unanswered = msg.header.stamp
+
+    def _answer(self, sent: Sequence[str], awaited_ns: int | None) -> None:
+        """Says in lockstep that the tick that waits is done, with commands on the topics ``sent``, and which one waits next."""
+        self._awaited_ns = awaited_ns
+        if self._lockstep is not None and self._unanswered is not None:
+            self._lockstep.done(self._unanswered, sent)
+        self._unanswered = None
 
     def _on_contacts(self, msg: Contacts) -> None:
         moving = {link.partition("/")[0] for link in (self._state.links if self._state else ())}
@@ -119,17 +149,16 @@ class TaskNode(Node):
 
     def _on_joints(self, msg: JointState) -> None:
         self._joints.update(zip(msg.name, msg.position, strict=True))
+        self._joints_ns = conversions.time_from_msg(msg.header.stamp)
 
     def _on_grasp(self, msg: GraspState) -> None:
         self._held = msg.body if msg.holding else ""
+        self._grasp_ns = conversions.time_from_msg(msg.header.stamp)
 
     def _on_reset(self, _: Any, response: Any) -> Any:
         self._reset_asked = True
-        response.success, response.message = True, f"the episode of seed {self._next_seed()} begins"
+        response.success, response.message = True, f"the episode of seed {self._next_seed} begins"
         return response
-
-    def _next_seed(self) -> int:
-        return self._config.seed + len(self._results) + 1
 
     def spin(self) -> int:
         """Runs the episodes; returns the exit code.
@@ -164,6 +193,7 @@ class TaskNode(Node):
 
     def _episode(self, seed: int) -> Metrics:
         """Sets an episode up, lets the baseline or somebody else do it, and returns how it went."""
+        self._next_seed = seed + 1
         episode = self._task.generate(seed, self._ground)
         begin_ns = self._set_up(episode)
         view = self._view(begin_ns)
@@ -172,51 +202,76 @@ class TaskNode(Node):
         self._announce(episode)
         success = False
         while goes_on() and not (success or self._reset_asked or view.time >= episode.time_limit):
-            if policy is not None:
-                self._do(policy, view)
-            view = self._view(begin_ns, after=view.time)
+            awaited_ns = begin_ns + round(view.time * NS_PER_S) + _PERIOD_NS
+            self._answer(self._do(policy, view) if policy is not None else (), awaited_ns)
+            view = self._view(begin_ns, awaited_ns)
             meter.note(view, self._touched)
             success = self._task.succeeded(episode, view, self._ground)
         if policy is not None:
             self._velocity_pub.publish(Twist())
+            self._answer((self._velocity_pub.topic_name,), None)
         metrics = meter.metrics(view, success=success, goal_distance=self._task.remaining(episode, view, self._ground))
         self._result_pub.publish(String(data=json.dumps({"seed": seed, **episode_values(metrics)})))
         return metrics
 
-    def _do(self, policy: Policy, view: View) -> None:
-        """Publishes what a baseline wants."""
+    def _do(self, policy: Policy, view: View) -> list[str]:
+        """Publishes what a baseline wants; returns the topics, one for each message."""
         action: Action = policy.act(view)
         twist = Twist()
         twist.linear.x, twist.angular.z = float(action.linear), float(action.angular)
         self._velocity_pub.publish(twist)
+        sent = [self._velocity_pub.topic_name]
         joints = {**action.joints, **finger_joints(self._ground.robot, action.grasp)}
         if joints:
             self._joint_pub.publish(JointState(name=list(joints), position=[float(p) for p in joints.values()]))
+            sent.append(self._joint_pub.topic_name)
         if action.grasp is not None and action.grasp != bool(self._held):
             self._grasp_pub.publish(Bool(data=action.grasp))
+            sent.append(self._grasp_pub.topic_name)
+        return sent
 
     def _set_up(self, episode: Episode) -> int:
         """Makes the scene that of an episode; returns the stamp at which it begins."""
         self._reset_asked = False
-        if self._ground.robot.manipulators:
-            self._grasp_pub.publish(Bool(data=False))
         self._velocity_pub.publish(Twist())
-        for name in self._spawned:
-            self._call(self._delete, srv.DeleteEntity.Request(entity=name))
-        self._spawned.clear()
+        self._tidy(episode)
         self._put_robot(episode.start)
+        for name in episode.removed:
+            self._call(self._delete, srv.DeleteEntity.Request(entity=name))
         for item in episode.items:
             self._put_item(item)
             self._spawned.append(item.name)
         roots = {item_root(item) for item in episode.items}
         assert self._state is not None
-        asked_ns = self._state.stamp_ns
-        self._wait(lambda: self._settled(roots, asked_ns), "state of the scene with all items in it")
+        self._awaited_ns = begin_ns = self._state.stamp_ns + round(SETTLE_S * NS_PER_S)
+        self._wait(lambda: self._settled(roots, begin_ns), "state of the scene with all items in it")
         return self._state.stamp_ns
 
-    def _settled(self, roots: set[str], asked_ns: int) -> bool:
-        state = self._state
-        return state is not None and roots <= set(state.links) and state.stamp_ns >= asked_ns + round(SETTLE_S * NS_PER_S)
+    def _settled(self, roots: set[str], begin_ns: int) -> bool:
+        return self._is_known(begin_ns) and self._state is not None and roots <= set(self._state.links)
+
+    def _tidy(self, episode: Episode) -> None:
+        """Takes away what the episode before has left.
+
+        All is reset where that is not enough: the arm lies anywhere, or a body of the scene is gone.
+        """
+        there = self._bodies()
+        new = {item.name for item in episode.items}
+        begun = bool(self._results) and bool(self._ground.robot.manipulators)
+        if begun or not there >= set(episode.removed) or (there & new) - {*episode.removed, *self._spawned}:
+            request = srv.ResetSimulation.Request(scope=srv.ResetSimulation.Request.SCOPE_DEFAULT)
+            gone, back = set(self._spawned), {body.name for body in self._ground.scene.bodies}
+            self._call(self._reset, request)
+            self._joints_ns = self._grasp_ns = -1
+            self._wait(lambda: not gone & self._bodies() - back and back <= self._bodies(), "state of the scene after a reset")
+        else:
+            for name in self._spawned:
+                self._call(self._delete, srv.DeleteEntity.Request(entity=name))
+        self._spawned.clear()
+
+    def _bodies(self) -> set[str]:
+        """Returns the names of all that moves."""
+        return {link.partition("/")[0] for link in (self._state.links if self._state else ())}
 
     def _put_robot(self, pose: Pose) -> None:
         request = srv.SetEntityState.Request(entity=self._ground.robot.name)
@@ -228,10 +283,8 @@ class TaskNode(Node):
 
     def _put_item(self, item: Item) -> None:
         request = srv.SpawnEntity.Request(name=item.name)
-        if hasattr(request, "entity_resource"):
-            request.entity_resource.uri = item.model
-        else:
-            request.uri = item.model
+        resource = request.entity_resource if hasattr(request, "entity_resource") else request
+        resource.uri, resource.resource_string = "" if item.text else item.model, item.text
         request.initial_pose.pose = conversions.pose_to_msg(item.pose)
         self._call(self._spawn, request)
 
@@ -248,15 +301,18 @@ class TaskNode(Node):
             message.pose = conversions.pose_to_msg(Pose(goal.position))
             self._goal_pub.publish(message)
 
-    def _view(self, begin_ns: int, after: float = -math.inf) -> View:
-        """Returns what is known at the next tick that is a period of control after ``after``, seconds since the begin."""
-        wanted_ns = -1 if math.isinf(after) else begin_ns + round(after * NS_PER_S) + _PERIOD_NS
-        self._wait(
-            lambda: self._state is not None and self._state.stamp_ns >= wanted_ns, "scene_state: is the simulation paused?"
-        )
+    def _view(self, begin_ns: int, wanted_ns: int = -1) -> View:
+        """Returns what is known at the next tick, from ``wanted_ns`` on."""
+        self._wait(lambda: self._is_known(wanted_ns), "scene_state: is the simulation paused?")
         assert self._state is not None
         robot = self._ground.robot
         return view_of(self._state, robot.name, robot.base_link, begin_ns, joints=dict(self._joints), held=self._held)
+
+    def _is_known(self, wanted_ns: int) -> bool:
+        """Returns whether all is known of a tick, from ``wanted_ns`` on."""
+        stamps = [self._state.stamp_ns if self._state is not None else -1]
+        stamps += [self._joints_ns, self._grasp_ns] if self._ground.robot.manipulators else []
+        return min(stamps) >= wanted_ns
 
     def _call(self, client: Any, request: Any) -> None:
         """Calls a service of the simulation.
@@ -290,6 +346,8 @@ class TaskNode(Node):
 
     def close(self) -> None:
         """Ends the executor; what was spawned stays for whoever looks at it."""
+        if self._lockstep is not None:
+            self._lockstep.leave()
         self._executor.shutdown(timeout_sec=5.0)
 
 

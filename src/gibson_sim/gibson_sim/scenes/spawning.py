@@ -16,6 +16,7 @@ from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.load import ROBOT_FILE, load_robot
 from gibson_sim.robots.mesh_files import resolve_mesh
 from gibson_sim.robots.omissions import Omission, OmissionKind, kind_of
+from gibson_sim.robots.rigid import rigid_groups
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.robots.urdf import UrdfModel, parse_urdf, read_urdf
 from gibson_sim.robots.xacro import is_xacro
@@ -284,7 +285,8 @@ def _check(model: UrdfModel, loader: MeshLoader, *, read: bool) -> None:
     _raise_for([line for line in lines if kind_of(line) is OmissionKind.INVALID])
     try:
         check_plausible(model, loader)
-    except SceneError as e:
+        rigid_groups(model)  # counts joints
+    except (SceneError, RobotError) as e:
         raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)) from e
     _raise_for(lines)
 

@@ -8,7 +8,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from gibson_sim.errors import GibsonSimError
+from gibson_sim.errors import GibsonSimError, StartError
 from gibson_sim.geometry.transforms import (
     Mat4,
     invert,
@@ -272,6 +272,8 @@ class Population:
         """Changes the world; what it refuses becomes an error of ``code``."""
         try:
             change()
+        except StartError as error:
+            raise SimulationError(SpawnCode.INVALID_POSE, str(error)) from error
         except GibsonSimError as error:
             raise SimulationError(code, str(error)) from error
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import CommandError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
-from gibson_sim.physics.frames import cross
-from gibson_sim.robots.urdf import UrdfJoint, UrdfModel
+from gibson_sim.robots.mimic import Mimic
+from gibson_sim.robots.urdf_model import UrdfJoint, UrdfModel
 
 F64 = NDArray[np.float64]
 _RESTARTS = 24
@@ -50,7 +50,7 @@ class ChainSolution:
     """Joints that bring the end of a chain as near to a target as was found, and how near."""
 
     names: tuple[str, ...]
-    """Moving joints of the chain, the root's first."""
+    """Moving joints of the chain, the root's first; those that follow others are not among them."""
     positions: tuple[float, ...]
     """Radians or metres, within the limits."""
     position_error: float
@@ -63,8 +63,33 @@ class ChainSolution:
         return self.position_error <= position_error and self.angle_error <= angle_error
 
 
+@dataclass(frozen=True, slots=True)
+class _Link:
+    """A joint on the way to the tip."""
+
+    joint: UrdfJoint
+    T_parent_joint: Mat4
+    leader: str
+    """The joint whose position decides that of this one: itself, or the one that it mimics; empty = it is fixed."""
+    mimic: Mimic | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Axis:
+    """How a joint moves the tip, root's frame."""
+
+    leader: str
+    factor: float
+    """Of its motion by that of its leader."""
+    direction: F64
+    """(3,), unit vector."""
+    origin: F64
+    """(3,), metres."""
+    slides: bool
+
+
 class Chain:
-    """The joints between the root of a model and one of its links."""
+    """The joints between the root of a model and one of its links. What mimics another joint goes where that one puts it."""
 
     def __init__(self, model: UrdfModel, tip: str, joints: Sequence[str] | None = None) -> None:
         """Finds the chain.
@@ -85,20 +110,23 @@ class Chain:
         while link in above:
             path.insert(0, above[link])
             link = above[link].parent
-        moving = [joint.name for joint in path if joint.kind != "fixed"]
+        self._path = [
+            _Link(joint, matrix_from_pose(joint.pose), "" if joint.kind == "fixed" else _leader(joint), joint.mimic)
+            for joint in path
+        ]
+        moving = list(dict.fromkeys(link.leader for link in self._path if link.leader))
         if not moving:
             raise CommandError(f"no joint moves link {tip!r}; choose a link at the end of an arm")
         for name in joints or ():
             if name not in moving:
                 raise CommandError(f"joint {name!r} does not move link {tip!r}; these do: {', '.join(moving)}")
-        self._path = [(joint, matrix_from_pose(joint.pose), np.array(joint.axis) / math.hypot(*joint.axis)) for joint in path]
         self.names = tuple(name for name in moving if joints is None or name in joints)
-        """The joints that may move, the root's first."""
+        """The joints that may move, the root's first; those that follow others are not among them."""
         if not self.names:
             raise CommandError(f"no joint of the chain to link {tip!r} may move; name at least one of {', '.join(moving)}")
-        limits = {joint.name: _limits(joint) for joint in path}
-        self._lower = np.array([limits[name][0] for name in self.names])
-        self._upper = np.array([limits[name][1] for name in self.names])
+        limits = [_limits(model, name) for name in self.names]
+        self._lower = np.array([lower for lower, _ in limits])
+        self._upper = np.array([upper for _, upper in limits])
 
     def pose(self, positions: Mapping[str, float]) -> Mat4:
         """Returns T_root_tip, (4, 4); joints that are not named are at 0."""
@@ -107,11 +135,7 @@ class Chain:
     def jacobian(self, positions: Mapping[str, float]) -> tuple[Mat4, F64]:
         """Returns T_root_tip, (4, 4), and what takes velocities of ``names`` to those of the tip, (6, J), linear then angular, root's axes."""
         T_root_tip, axes = self._forward(positions)
-        rows = [axes[name] for name in self.names]
-        directions, origins = np.array([axis for axis, _, _ in rows]), np.array([origin for _, origin, _ in rows])
-        slides = np.array([[slides] for _, _, slides in rows])
-        linear = np.where(slides, directions, cross(directions, T_root_tip[:3, 3] - origins))
-        return T_root_tip, np.concatenate([linear, np.where(slides, 0.0, directions)], axis=1).T
+        return T_root_tip, self._columns(T_root_tip, axes)
 
     def solve(
         self,
@@ -193,30 +217,39 @@ class Chain:
     def _error(self, target: Mat4, q: F64, others: Mapping[str, float], orientation: bool) -> tuple[F64, F64]:
         """Returns the way from the tip to its target, metres (the turn times ``_ARM``), (6,) or (3,), and its Jacobian by the joints."""
         T_root_tip, axes = self._forward({**others, **dict(zip(self.names, q.tolist(), strict=True))})
-        tip = T_root_tip[:3, 3]
-        rows = 6 if orientation else 3
-        error, jacobian = np.zeros(rows), np.zeros((rows, len(self.names)))
-        error[:3] = target[:3, 3] - tip
-        if orientation:
-            error[3:] = _ARM * _rotation_vector(target[:3, :3] @ T_root_tip[:3, :3].T)
-        for column, name in enumerate(self.names):
-            axis, origin, slides = axes[name]
-            jacobian[:3, column] = axis if slides else np.cross(axis, tip - origin)
-            if orientation and not slides:
-                jacobian[3:, column] = _ARM * axis
-        return error, jacobian
+        error, jacobian = target[:3, 3] - T_root_tip[:3, 3], self._columns(T_root_tip, axes)
+        if not orientation:
+            return error, jacobian[:3]
+        jacobian[3:] *= _ARM
+        turn = _ARM * _rotation_vector(target[:3, :3] @ T_root_tip[:3, :3].T)
+        return np.concatenate([error, turn]), jacobian
 
-    def _forward(self, positions: Mapping[str, float]) -> tuple[Mat4, dict[str, tuple[F64, F64, bool]]]:
-        """Returns T_root_tip, and of every joint that moves its axis and origin in the root's frame, and whether it slides."""
-        T: Mat4 = np.eye(4)
-        axes: dict[str, tuple[F64, F64, bool]] = {}
-        for joint, T_parent_joint, axis in self._path:
-            T = T @ T_parent_joint
-            if joint.kind == "fixed":
+    def _columns(self, T_root_tip: Mat4, axes: Sequence[_Axis]) -> F64:
+        """Returns what takes velocities of ``names`` to those of the tip, (6, J), linear then angular, root's axes."""
+        out = np.zeros((6, len(self.names)))
+        for axis in axes:
+            if axis.leader not in self.names:
                 continue
-            slides = joint.kind == "prismatic"
-            axes[joint.name] = T[:3, :3] @ axis, T[:3, 3], slides
-            T = T @ _motion(axis, positions.get(joint.name, 0.0), slides)
+            column = out[:, self.names.index(axis.leader)]
+            if axis.slides:
+                column[:3] += axis.factor * axis.direction
+            else:
+                column[:3] += axis.factor * _cross(axis.direction, T_root_tip[:3, 3] - axis.origin)
+                column[3:] += axis.factor * axis.direction
+        return out
+
+    def _forward(self, positions: Mapping[str, float]) -> tuple[Mat4, list[_Axis]]:
+        """Returns T_root_tip, and how every joint that moves does so."""
+        T: Mat4 = np.eye(4)
+        axes: list[_Axis] = []
+        for link in self._path:
+            T = T @ link.T_parent_joint
+            if not link.leader:
+                continue
+            joint, mimic, position = link.joint, link.mimic, positions.get(link.leader, 0.0)
+            factor = 1.0 if mimic is None else mimic.multiplier
+            axes.append(_Axis(link.leader, factor, T[:3, :3] @ joint.axis, T[:3, 3], joint.kind == "prismatic"))
+            T = T @ joint.motion(position if mimic is None else mimic.position(position))
         return T, axes
 
 
@@ -230,21 +263,30 @@ def _self_motion(jacobian: F64, wanted: F64) -> F64:
     return np.asarray(amounts @ free)
 
 
-def _limits(joint: UrdfJoint) -> tuple[float, float]:
-    bounded = joint.kind != "continuous" and joint.lower <= joint.upper
-    return (joint.lower, joint.upper) if bounded else (-math.inf, math.inf)
+def _leader(joint: UrdfJoint) -> str:
+    return joint.name if joint.mimic is None else joint.mimic.leader
 
 
-def _motion(axis: F64, position: float, slides: bool) -> Mat4:
-    """Returns how a joint at ``position`` moves what is below it, (4, 4)."""
-    out: Mat4 = np.eye(4)
-    if slides:
-        out[:3, 3] = axis * position
-        return out
-    x, y, z = axis.tolist()
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    out[:3, :3] += math.sin(position) * cross + (1.0 - math.cos(position)) * (cross @ cross)
-    return out
+def _limits(model: UrdfModel, name: str) -> tuple[float, float]:
+    """Returns the limits of a joint, within which those that follow it keep theirs."""
+    lower, upper = -math.inf, math.inf
+    for joint in model.joints:
+        if joint.kind == "fixed" or _leader(joint) != name or not joint.is_bounded:
+            continue
+        ends = [joint.lower, joint.upper]
+        if joint.mimic is not None:
+            if joint.mimic.multiplier == 0.0:
+                continue
+            ends = sorted((end - joint.mimic.offset) / joint.mimic.multiplier for end in ends)
+        if max(lower, ends[0]) <= min(upper, ends[1]):  # a follower that can never keep to both limits does not stop its leader
+            lower, upper = max(lower, ends[0]), min(upper, ends[1])
+    return lower, upper
+
+
+def _cross(a: F64, b: F64) -> F64:
+    """Returns a x b, (3,); several times faster than ``np.cross``."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def _rotation_vector(rotation: F64) -> F64:
