@@ -11,7 +11,7 @@ export FASTRTPS_DEFAULT_PROFILES_FILE ?= $(CURDIR)/config/fastdds.xml
 # What another ROS installation or environment put there does not belong into ours.
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONPATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup run test lint format clean
+.PHONY: help setup run test lint format bench clean
 .DEFAULT_GOAL := help
 
 help:
@@ -20,6 +20,7 @@ help:
 	@echo 'make test               set up, then all tests; PYTEST_ARGS="-k name" chooses some'
 	@echo 'make lint               set up, then ruff, mypy and the import rules'
 	@echo 'make format             set up, then let ruff format the code'
+	@echo 'make bench              set up, then a short table of speed beside the one of docs/benchmarks; for information'
 	@echo 'make clean              remove $(VENV) and everything that was built'
 
 setup:
@@ -52,6 +53,13 @@ lint: setup
 format: setup
 	@'$(BIN)/ruff' check --fix $(CODE)
 	@'$(BIN)/ruff' format $(CODE)
+
+# For information: machines differ, and so do hours. It never fails for being slow.
+BENCH_BEFORE ?= docs/benchmarks/table1_cpu.json
+
+bench: setup
+	@'$(BIN)/gibson-sim' bench table1 --quick --only 'in process' --json out/table1.json
+	@if [ -f '$(BENCH_BEFORE)' ]; then '$(BIN)/gibson-sim' bench compare '$(BENCH_BEFORE)' out/table1.json; fi
 
 clean:
 	rm -rf '$(VENV)' ros_ws/build ros_ws/install ros_ws/log src/gibson_sim/build src/gibson_sim/*.egg-info

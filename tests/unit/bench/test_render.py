@@ -17,7 +17,7 @@ from gibson_sim.bench.render_report import report_text, table
 from gibson_sim.bench.scenes import parse_count, path_along
 from gibson_sim.bench.timing import FIVE
 from gibson_sim.bench.workers import Worker, WorkerError
-from gibson_sim.cli import bench as cli
+from gibson_sim.cli import bench as cli, bench_peers
 from gibson_sim.errors import ConfigError
 
 RGB_DEPTH = ("rgb", "depth")
@@ -88,6 +88,7 @@ def test_json_holds_every_row_and_the_ratios() -> None:
     read = json.loads(json.dumps(REPORT.as_json()))
     assert set(read) == {
         "date", "version", "machine", "cores", "load", "contestants", "fov_y_deg", "frames", "rows", "left_out", "against_peers",
+        "kind", "figures",
     }  # fmt: skip
     assert read["rows"][0] == {
         "scene": "rooms:100k", "triangles": 100_000, "width": 256, "height": 256, "outputs": list(FIVE),
@@ -129,9 +130,17 @@ def test_the_command_line_alone_is_the_plan_alone() -> None:
 
 def test_what_the_command_line_says_is_planned() -> None:
     plan = _plan("--scenes", "rooms:100k,flat", "--sizes", "64x48", "--outputs", "rgb", "rgb,flow", "--frames", "6", "--detail-px",
-                 "0.5,0", "--device", "1", "--peers", "--peer-python", "python9")  # fmt: skip
+                 "0.5,0", "--device", "1")  # fmt: skip
     assert (plan.scenes, plan.sizes, plan.outputs) == (("rooms:100k", "flat"), ((64, 48),), (("rgb",), ("rgb", "flow")))
-    assert (plan.frames, plan.detail_px, plan.device, plan.peers, plan.peer_python) == (6, (0.5, 0.0), 1, True, "python9")
+    assert (plan.frames, plan.detail_px, plan.device, plan.peers) == (6, (0.5, 0.0), 1, False)
+
+
+def test_the_peers_are_asked_on_houses_of_scan_size_at_the_sizes_of_the_paper() -> None:
+    parser = argparse.ArgumentParser()
+    bench_peers.add_parser(parser.add_subparsers())
+    plan = bench_peers.plan_of(parser.parse_args(["peers", "--peer-python", "python9", "--frames", "6"]))
+    assert (plan.peers, plan.peer_pythons, plan.frames, plan.sizes) == (True, ("python9",), 6, ((256, 256), (640, 480)))
+    assert all(house.startswith("scan:") for house in plan.scenes)
 
 
 @pytest.mark.parametrize(
@@ -162,7 +171,7 @@ def test_missing_peers_are_lines_and_not_errors(tmp_path: Path, monkeypatch: pyt
     python = tmp_path / "python"
     python.write_text(f'#!/bin/sh\nexec "{sys.executable}" -S "$@"\n', encoding="utf-8")
     python.chmod(0o755)
-    found = _measure(monkeypatch, Plan(scenes=("rooms:5k",), sizes=((64, 64),), peers=True, peer_python=str(python)))
+    found = _measure(monkeypatch, Plan(scenes=("rooms:5k",), sizes=((64, 64),), peers=True, peer_pythons=(str(python),)))
     assert [line.split(":")[0] for line in found.left_out] == [peer.name for peer in render.PEERS]
     assert {row.contestant for row in found.rows} == {"Gibson Sim"}
 

@@ -20,7 +20,8 @@ from gibson_sim.scenes.spec import drawn_scene
 from gibson_sim.types import CameraSpec, Frame, Output, Pose, SceneState
 
 NEAR, FAR = 0.05, 100.0
-_STATE = SceneState(0, 0, 1, (), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6)))
+STILL = SceneState(0, 0, 1, (), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6)))
+"""State of a scene in which nothing moves."""
 
 
 class GibsonSim:
@@ -51,8 +52,8 @@ class GibsonSim:
     def draw(self, pose: Matrix) -> Frame:
         """Draws one image with all of its outputs."""
         c = self._camera
-        camera = CameraSpec(c.name, c.link, _pose(pose), c.width, c.height, c.fov_y, near=c.near, far=c.far, outputs=c.outputs)
-        return self._renderer.render(_STATE, [camera])[0]
+        camera = CameraSpec(c.name, c.link, pose_of(pose), c.width, c.height, c.fov_y, near=c.near, far=c.far, outputs=c.outputs)
+        return self._renderer.render(STILL, [camera])[0]
 
     def picture(self, drawn: Frame) -> tuple[bytes, int, int]:
         """Returns RGB bytes, height and width."""
@@ -64,7 +65,8 @@ class GibsonSim:
         return self._renderer.drawn_triangles
 
 
-def _pose(matrix: Sequence[float]) -> Pose:
+def pose_of(matrix: Sequence[float]) -> Pose:
+    """Returns a pose from the 16 numbers of its matrix, by rows."""
     T = np.array(matrix, dtype=np.float64).reshape(4, 4)
     assert math.isclose(T[3, 3], 1.0)
     return Pose((float(T[0, 3]), float(T[1, 3]), float(T[2, 3])), quat_from_matrix(T[:3, :3]))

@@ -223,9 +223,61 @@ class PyBullet(_Peer):
         return rgb, depth, labels
 
 
+_IGIBSON_MODES = {"rgb": "rgb", "depth": "3d", "normal": "normal"}
+
+
+class IGibson(_Peer):
+    """iGibson 2's ``MeshRenderer``, as it is without its data: RGB, normals and positions, of which depth is a part.
+
+    Args:
+        folder: as ``MuJoCo``.
+        sizes: as ``MuJoCo``; each has a renderer of its own.
+    """
+
+    def __init__(self, folder: str, sizes: Sequence[tuple[int, int]]) -> None:
+        from igibson.render.mesh_renderer.mesh_renderer_cpu import MeshRenderer
+        from igibson.render.mesh_renderer.mesh_renderer_settings import MeshRendererSettings
+
+        # Its shaders for OpenGL 4.5, since software renderers have no 4.6; its light needs data that it does not bring.
+        settings = MeshRendererSettings(enable_pbr=False, enable_shadow=False, msaa=False, glsl_version_override=450)
+        self._renderers = {}
+        for width, height in sizes:
+            renderer = MeshRenderer(width=width, height=height, rendering_settings=settings)
+            renderer.load_object(os.path.join(folder, "mesh.obj"))
+            renderer.add_instance_group([0])
+            self._renderers[width, height] = renderer
+        self._renderer: Any = None
+        self._modes: tuple[str, ...] = ("rgb",)
+        self.info = {"version": version("igibson")}
+
+    def prepare(self, width: int, height: int, fov_y: float, outputs: tuple[str, ...]) -> None:
+        """Makes ready for images of this size (pixels, radians) with these outputs."""
+        self._renderer = self._renderers[width, height]
+        self._renderer.set_fov(math.degrees(fov_y))
+        self._modes = tuple(_IGIBSON_MODES[name] for name in outputs)
+
+    def draw(self, pose: Matrix) -> tuple[Any, ...]:
+        """Draws what was asked for; every mode comes back as four floats a pixel."""
+        T = np.array(pose, dtype=np.float64).reshape(4, 4)
+        self._renderer.set_camera(T[:3, 3], T[:3, 3] + T[:3, 2], -T[:3, 1])
+        return tuple(self._renderer.render(modes=self._modes))
+
+    def picture(self, drawn: Any) -> tuple[bytes, int, int]:
+        """Returns RGB bytes, height and width."""
+        return _rgb(np.clip(drawn[0] * 255.0, 0.0, 255.0))
+
+
 def _bullet_with_egl(folder: str, sizes: Sequence[tuple[int, int]]) -> PyBullet:
     return PyBullet(folder, sizes, egl=True)
 
 
 if __name__ == "__main__":
-    serve({"MuJoCo": MuJoCo, "pyrender": Pyrender, "PyBullet TinyRenderer": PyBullet, "PyBullet EGL": _bullet_with_egl})
+    serve(
+        {
+            "MuJoCo": MuJoCo,
+            "pyrender": Pyrender,
+            "PyBullet TinyRenderer": PyBullet,
+            "PyBullet EGL": _bullet_with_egl,
+            "iGibson": IGibson,
+        }
+    )

@@ -50,7 +50,21 @@ PEERS = (
     Peer(
         "PyBullet EGL", (("rgb", "depth", "semantic"),), "RGB, depth and segmentation in one call; its light cannot be turned off"
     ),
+    Peer(
+        "iGibson",
+        (("rgb",), ("rgb", "depth")),
+        "all outputs in one pass, each read back as four floats a pixel; light without its data",
+    ),
 )
+ABSENT = (
+    (
+        "Habitat-sim",
+        "no package on PyPI; 753 and 688 frames/s on the two houses of the paper, drawing only (its Table 1, GTX 1080 Ti)",
+    ),
+    ("Isaac Sim", "needs an RTX GPU"),
+    ("Gazebo", "its cameras belong to a running simulation and are no library; docs/comparison.md"),
+)
+"""Who cannot take part here, and why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +81,8 @@ class Plan:
     """Each value is a contestant."""
     device: int | str | None = None
     peers: bool = False
-    peer_python: str = ""
-    """Interpreter that has the peers' packages; empty = this one."""
+    peer_pythons: tuple[str, ...] = ("",)
+    """Interpreters that may have a peer's package, tried in this order; empty = this one."""
     pictures: Path | None = None
     """Folder for the first image of every contestant."""
 
@@ -117,7 +131,18 @@ class Report:
 
     def as_json(self) -> dict[str, Any]:
         """Returns it as values for JSON, with the ratios."""
-        return {**asdict(self), "against_peers": [asdict(a) for a in against_peers(self.rows)]}
+        figures = [
+            {
+                "name": f"{r.contestant}: {'+'.join(r.outputs)}, {r.scene}, {r.size}",
+                "value": r.fps,
+                "unit": "frames/s",
+                "better": "more",
+            }
+            for r in self.rows
+            if r.contestant.startswith(OURS)
+        ]
+        against = [asdict(a) for a in against_peers(self.rows)]
+        return {"kind": "render", **asdict(self), "against_peers": against, "figures": figures}
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,15 +237,30 @@ def _contestants(
         except GibsonSimError as error:
             return found, [f"peers: {problem(error)}"]
         for peer in PEERS:
-            try:
-                worker = stack.enter_context(Worker("gibson_sim.bench.peers", plan.peer_python))
-                info = worker.ask("open", engine=peer.name, folder=str(folder), sizes=plan.sizes)
-            except WorkerError as error:
-                lines.append(f"{peer.name}: {problem(error)}")
+            opened = _opened(peer, plan, str(folder), stack)
+            if isinstance(opened, str):
+                lines.append(f"{peer.name}: {opened}")
                 continue
+            worker, info = opened
             infos[peer.name] = {**info, "how": peer.how}
             found.append((peer.name, info, worker, peer.outputs))
     return found, lines
+
+
+def _opened(peer: Peer, plan: Plan, folder: str, stack: ExitStack) -> tuple[Worker, dict[str, str]] | str:
+    """Returns a peer that has loaded the scene, in the first interpreter that has it, with what it says of itself; else why none has."""
+    why = ""
+    for python in plan.peer_pythons:
+        with ExitStack() as attempt:
+            try:
+                worker = attempt.enter_context(Worker("gibson_sim.bench.peers", python))
+                info = worker.ask("open", engine=peer.name, folder=folder, sizes=plan.sizes)
+            except WorkerError as error:
+                why = why or problem(error)
+                continue
+            stack.enter_context(attempt.pop_all())
+            return worker, info
+    return why
 
 
 def _measured(

@@ -6,13 +6,15 @@ import hashlib
 import math
 import shutil
 import tempfile
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.bench import houses
 from gibson_sim.errors import ConfigError, GibsonSimError, SceneError
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, Mat4
 from gibson_sim.resources import cache_folder, find_scene
@@ -21,6 +23,7 @@ from gibson_sim.scenes.floor_map import scene_floor_map
 from gibson_sim.scenes.generator.rooms import make_rooms, rooms_camera_path
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.mesh import load_mesh
+from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.scenes.tour import choose_start, plan_tour
 
 CAMERA_HEIGHT = 1.2
@@ -40,21 +43,28 @@ class BenchScene:
     path: Path
     rooms: int = 0
     """Triangles that were asked for, if it is generated."""
+    plan: Path | None = None
+    """Scene whose floors the camera goes along; None = those of the scene itself."""
 
 
 def bench_scene(name: str) -> BenchScene:
-    """Returns a scene by its name or path; ``rooms:100k`` is made here once and kept in the user's cache.
+    """Returns a scene by its name or path; two kinds are made here once and kept in the user's cache.
+
+    ``rooms:100k`` is a generated floor of so many triangles; ``scan:garden_house:500k`` is one of our scenes as a scan would give it.
 
     Raises:
-        ConfigError: ``rooms:`` is not followed by a number of triangles.
+        ConfigError: ``rooms:`` or ``scan:`` is not followed by a number of triangles.
         SceneNotFoundError: there is none of this name.
+        SceneError: no scan can be made of it.
     """
-    kind, colon, count = name.partition(":")
-    if kind != "rooms" or not colon:
-        path = find_scene(name)
-        return BenchScene(path.stem if path.is_file() else path.name, path)
-    triangles = parse_count(count)
-    return BenchScene(name, _kept_rooms(triangles), triangles)
+    kind, _, what = name.partition(":")
+    if kind == "rooms" and what:
+        triangles = parse_count(what)
+        return BenchScene(name, _kept_rooms(triangles), triangles)
+    path = find_scene(what.rpartition(":")[0] if kind == "scan" else name)
+    if kind == "scan":
+        return BenchScene(name, _kept_scan(path, parse_count(what.rpartition(":")[2])), plan=path)
+    return BenchScene(path.stem if path.is_file() else path.name, path)
 
 
 def parse_count(text: str) -> int:
@@ -74,15 +84,27 @@ def parse_count(text: str) -> int:
 
 
 def _kept_rooms(triangles: int) -> Path:
-    digest = hashlib.sha256()
-    for source in sorted(Path(generator.__file__).parent.glob("*.py")):
+    sources = sorted(Path(generator.__file__).parent.glob("*.py"))
+    return _kept(f"rooms_{triangles}", sources, "", lambda made: make_rooms(made, 0, triangles))
+
+
+def _kept_scan(path: Path, triangles: int) -> Path:
+    scene = load_scene(path)
+    name = f"scan_{scene.name}_{triangles}"
+    return _kept(name, [Path(houses.__file__)], scene.content_hash, lambda made: houses.make_scan(scene, triangles, made))
+
+
+def _kept(name: str, sources: list[Path], content: str, make: Callable[[Path], object]) -> Path:
+    """Returns the folder in the cache of what ``make`` made there, once for each state of the code and of what it is made from."""
+    digest = hashlib.sha256(content.encode())
+    for source in sources:
         digest.update(source.read_bytes())
-    folder = cache_folder("bench") / f"rooms_{triangles}_{digest.hexdigest()[:12]}"
+    folder = cache_folder("bench") / f"{name}_{digest.hexdigest()[:12]}"
     if not folder.is_dir():
         folder.parent.mkdir(parents=True, exist_ok=True)
         made = Path(tempfile.mkdtemp(dir=folder.parent))
         try:
-            make_rooms(made, 0, triangles)
+            make(made)
             made.rename(folder)
         except OSError:
             if not folder.is_dir():  # else another process was quicker
@@ -93,17 +115,24 @@ def _kept_rooms(triangles: int) -> Path:
 
 
 def camera_path(scene: BenchScene, frames: int) -> list[Mat4]:
-    """Returns ``frames`` poses T_world_camera (optical frame) on a fixed way through a scene, 1.2 m above its floor.
+    """Returns ``frames`` poses T_world_camera (optical frame) on a fixed way over all floors of a scene, 1.2 m above them.
 
     Raises:
         SceneError: no place on the floor is free.
     """
     if scene.rooms:
         return rooms_camera_path(frames)
-    spec = load_scene(scene.path)
-    floor = scene_floor_map(spec, robot_height=CAMERA_HEIGHT + 0.1)
+    spec = load_scene(scene.plan or scene.path)
+    shares = np.diff(np.linspace(0, frames, len(spec.floors) + 1).round().astype(int))
+    return [pose for z, count in zip(spec.floors, shares, strict=True) for pose in _path_on(spec, z, int(count))]
+
+
+def _path_on(spec: SceneSpec, floor_z: float, frames: int) -> list[Mat4]:
+    """Returns so many poses on a way over one floor."""
+    here = replace(spec, floor_z=floor_z, other_floors=(), ground_z=floor_z if spec.ground_z is not None else None)
+    floor = scene_floor_map(here, robot_height=CAMERA_HEIGHT + 0.1)
     x, y, _ = choose_start(floor, _RADIUS)
-    return path_along(plan_tour(floor, (x, y), _RADIUS, _TOUR_M), spec.floor_z + CAMERA_HEIGHT, frames)
+    return path_along(plan_tour(floor, (x, y), _RADIUS, _TOUR_M), floor_z + CAMERA_HEIGHT, frames)
 
 
 def path_along(points: NDArray[np.float64], z: float, frames: int) -> list[Mat4]:

@@ -150,19 +150,20 @@ def _alone(plan: TaskPlan, name: str, observation: str) -> TaskRow:
     rng = np.random.default_rng(0)
     with TaskRun(task_of(name), scene=plan.scene) as run:
         controls = Controls(run.robot, 1.0 / CONTROL_HZ)
-        seed = 0
-        begun = time.perf_counter()
-        run.reset(seed)
-        resets = [time.perf_counter() - begun]
+        resets: list[float] = []
+
+        def begin() -> None:
+            begun = time.perf_counter()
+            controls.begin(run.reset(len(resets)))
+            resets.append(time.perf_counter() - begun)
+
+        begin()
         camera = TaskCamera(run, (plan.size, plan.size)) if observation == "rgbd" else None
         stages: list[tuple[float, float, float]] = []
         try:
             for _ in range(plan.steps + WARM_UP):
                 if run.over:
-                    seed += 1
-                    begun = time.perf_counter()
-                    run.reset(seed)
-                    resets.append(time.perf_counter() - begun)
+                    begin()
                 action = controls.action(rng.uniform(-1.0, 1.0, controls.size), run.view)
                 stages.append(_stages(run, lambda: run.step(action), lambda: _observe(run, controls, camera)))  # noqa: B023
         finally:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.bench import timing
+from gibson_sim.bench.ours import STILL
 from gibson_sim.geometry.transforms import Mat4, quat_from_matrix
 from gibson_sim.render import gl as GL
 from gibson_sim.render.context import GlContext
@@ -28,13 +29,12 @@ from gibson_sim.robots.spec import Shape, VisualSpec
 from gibson_sim.scenes.generator.rooms import rooms_camera_path, rooms_mesh
 from gibson_sim.scenes.mesh_types import Mesh
 from gibson_sim.scenes.spec import DrawnScene, LightSpec
-from gibson_sim.types import OUTPUTS, CameraSpec, Frame, Output, Pose, SceneState
+from gibson_sim.types import OUTPUTS, CameraSpec, Frame, Output, Pose
 
 RGB_DEPTH: tuple[Output, ...] = ("rgb", "depth")
 PAPER_SIZES = (512, 1024)
 VIEWS = 64
 WARM_UP = 5
-_STATE = SceneState(0, 0, 1, (), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,10 +148,10 @@ def _cases(renderer: Renderer) -> list[tuple[str, int, int, tuple[Output, ...], 
         return None
 
     def tensors(cameras: list[CameraSpec]) -> Any:
-        return renderer.render_tensors(_STATE, cameras)
+        return renderer.render_tensors(STILL, cameras)
 
     def frames(cameras: list[CameraSpec]) -> Any:
-        return renderer.render(_STATE, cameras)
+        return renderer.render(STILL, cameras)
 
     cases: list[tuple[str, int, int, tuple[Output, ...], _Call, _Finish]] = []
     for size in PAPER_SIZES:
@@ -159,13 +159,13 @@ def _cases(renderer: Renderer) -> list[tuple[str, int, int, tuple[Output, ...], 
         cases += [
             ("(a) float RGBA, synchronous", size, 1, ("rgb",), FloatRgba(renderer), nothing),
             ("(b) 8 bit, asynchronous", size, 1, ("rgb",), ahead, ahead.finish),
-            ("(c) tensors", size, 1, ("rgb",), tensors, _synchronize),
+            ("(c) tensors", size, 1, ("rgb",), tensors, synchronize),
         ]
     cases.append(("host arrays", 256, 1, OUTPUTS, frames, nothing))
-    cases.append(("tensors", 256, 1, OUTPUTS, tensors, _synchronize))
+    cases.append(("tensors", 256, 1, OUTPUTS, tensors, synchronize))
     for outputs in (RGB_DEPTH, OUTPUTS):
         cases.append(("host arrays", 128, VIEWS, outputs, frames, nothing))
-        cases.append(("tensors", 128, VIEWS, outputs, tensors, _synchronize))
+        cases.append(("tensors", 128, VIEWS, outputs, tensors, synchronize))
     return cases
 
 
@@ -178,7 +178,7 @@ class _Ahead:
 
     def __call__(self, cameras: list[CameraSpec]) -> list[Frame]:
         """Returns the frames of the call before."""
-        before, self._pending = self._pending, self._renderer.start(_STATE, cameras)
+        before, self._pending = self._pending, self._renderer.start(STILL, cameras)
         return [] if before is None else before.result()
 
     def finish(self, _: Any) -> None:
@@ -196,7 +196,7 @@ class FloatRgba:
 
     def __call__(self, cameras: list[CameraSpec]) -> list[NDArray[np.float32]]:
         """Returns (H, W, 4) float32 of each camera."""
-        return [image for target, shots, _ in self._renderer.drawn(_STATE, cameras) for image in self.read(target, shots)]
+        return [image for target, shots, _ in self._renderer.drawn(STILL, cameras) for image in self.read(target, shots)]
 
     def read(self, target: Target, shots: Sequence[Shot]) -> list[NDArray[np.float32]]:
         """Returns (H, W, 4) float32 of each image."""
@@ -232,7 +232,7 @@ def _rates(call: _Call, finish: _Finish, cameras: list[list[CameraSpec]], blocks
     return rates
 
 
-def _synchronize(frames: Any) -> None:
+def synchronize(frames: Any) -> None:
     """Waits until the tensors hold their values; those that are not PyTorch's do so from the start."""
     tensor = frames[0].rgb
     if getattr(tensor, "is_cuda", False):

@@ -31,6 +31,38 @@ class Rates:
     p95: float
 
 
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """What a reader must know of the machine, and of the state it was in."""
+
+    date: str
+    version: str
+    """With the commit."""
+    machine: str
+    cores: int
+    load: float
+    """Average over the minute before."""
+    python: str
+    gpu: str = ""
+    """Name of the GPU, or of the software that draws; empty = nothing was drawn."""
+    driver: str = ""
+    """OpenGL version with that of the driver."""
+
+    @property
+    def text(self) -> str:
+        """All of it in one line."""
+        drawn = f"{self.gpu}, OpenGL {self.driver}; " if self.gpu else ""
+        return (
+            f"{self.machine}; {self.cores} cores usable, load {self.load:g}; {drawn}Python {self.python}; "
+            f"Gibson Sim {self.version}; {self.date[:10]}"
+        )
+
+
+def facts(gpu: str = "", driver: str = "") -> Facts:
+    """Returns what is true now."""
+    return Facts(now(), version(), machine(), cores(), load(), platform.python_version(), gpu, driver)
+
+
 def rates_of(seconds: Sequence[float]) -> Rates:
     """Returns how often a second each took place, from how long each took; all zero where there is none."""
     return Rates(0.0, 0.0, 0.0) if len(seconds) == 0 else spread([1.0 / s for s in seconds])

@@ -13,10 +13,13 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
 
-Matrix = Sequence[float]
-"""T_world_camera (optical frame), 16 numbers by rows."""
+if TYPE_CHECKING:
+    Matrix = Sequence[float]
+    """T_world_camera (optical frame), 16 numbers by rows."""
+else:
+    Matrix = Any  # Python 3.8, which some peers need, cannot say more
 
 
 class WorkerError(Exception):

@@ -7,8 +7,19 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.cli import bench_lockstep, bench_ros, bench_tasks, bench_tensors
-from gibson_sim.cli.report_file import add_report_options, write_json
+from gibson_sim.cli import (
+    bench_compare,
+    bench_lockstep,
+    bench_peers,
+    bench_report,
+    bench_ros,
+    bench_scaling,
+    bench_soak,
+    bench_table1,
+    bench_tasks,
+    bench_tensors,
+)
+from gibson_sim.cli.report_file import add_report_options, parse_size, write_json
 from gibson_sim.config import DETAIL_PX
 from gibson_sim.errors import ConfigError
 from gibson_sim.types import OUTPUTS
@@ -22,15 +33,15 @@ def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser("bench", help="measure how fast this machine draws, and how fast ROS carries it")
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="WHAT")
+    for module in (bench_table1, bench_peers, bench_scaling, bench_soak, bench_report, bench_compare):
+        module.add_parser(kinds)
     _add_render(kinds)
-    bench_tensors.add_parser(kinds)
-    bench_ros.add_parser(kinds)
-    bench_lockstep.add_parser(kinds)
-    bench_tasks.add_parser(kinds)
+    for module in (bench_tensors, bench_ros, bench_lockstep, bench_tasks):
+        module.add_parser(kinds)
 
 
 def _add_render(kinds: Any) -> None:
-    parser = kinds.add_parser("render", help="images a second by scene, size and outputs; with --peers against other renderers")
+    parser = kinds.add_parser("render", help="images a second of our renderer by scene, size and outputs")
     parser.add_argument(
         "--scenes",
         nargs="+",
@@ -53,8 +64,6 @@ def _add_render(kinds: Any) -> None:
         metavar="PX",
         help=f"levels of detail; several, such as 1,0, are measured each (default: {DETAIL_PX:g})",
     )
-    parser.add_argument("--peers", action="store_true", help="also MuJoCo, pyrender and PyBullet, where they are installed")
-    parser.add_argument("--peer-python", default="", metavar="PATH", help="interpreter that has the peers (default: this one)")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="write the first image of every contestant there")
     parser.add_argument("--growth", action="store_true", help="also print how time grows from the smallest rooms to the largest")
     parser.add_argument(
@@ -89,26 +98,17 @@ def plan_of(args: argparse.Namespace) -> Any:
     device = int(args.device) if args.device is not None and args.device.isdigit() else args.device
     return Plan(
         scenes=tuple(_words(args.scenes)),
-        sizes=tuple(_size(text) for text in _words(args.sizes)),
+        sizes=tuple(parse_size(text) for text in _words(args.sizes)),
         outputs=tuple(_outputs(text) for text in args.outputs),
         frames=args.frames,
         detail_px=tuple(_number("--detail-px", text) for text in _words([args.detail_px])),
         device=device,
-        peers=args.peers,
-        peer_python=args.peer_python,
         pictures=args.pictures,
     )
 
 
 def _words(texts: list[str]) -> list[str]:
     return [word for text in texts for word in text.split(",") if word]
-
-
-def _size(text: str) -> tuple[int, int]:
-    width, _, height = text.partition("x")
-    if not (width.isdigit() and height.isdigit()):
-        raise ConfigError(f"--sizes: {text!r} is no size of an image; write 640x480")
-    return int(width), int(height)
 
 
 def _outputs(text: str) -> tuple[Any, ...]:

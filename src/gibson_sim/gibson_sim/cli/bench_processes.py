@@ -51,12 +51,12 @@ def role(environment: Mapping[str, str], role: str, **options: Any) -> Iterator[
 
 
 @contextmanager
-def process(command: list[str], environment: Mapping[str, str]) -> Iterator[None]:
-    """Runs a process while the block lasts; what it says matters only where the block fails."""
+def process(command: list[str], environment: Mapping[str, str]) -> Iterator[int]:
+    """Runs a process while the block lasts, and yields its number; what it says matters only where the block fails."""
     with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as output:
         running = subprocess.Popen(command, env=dict(environment), stdin=subprocess.DEVNULL, stdout=output, stderr=output)
         try:
-            yield
+            yield running.pid
         except BenchError as error:
             code = running.poll()
             output.seek(0)

@@ -14,8 +14,7 @@ import numpy as np
 import rclpy
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
-from rclpy.executors import Executor, ExternalShutdownException
-from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -24,6 +23,8 @@ from sensor_msgs.msg import Image
 
 from gibson_msgs.msg import SceneState as RosSceneState
 from gibson_sim.ros import conversions, names, qos
+from gibson_sim.ros.bench_table import exchange, exchange_back, soak_listener, table_free, table_lockstep
+from gibson_sim.ros.bench_waiting import PATIENCE_S, settle, wait_until, waiter_of
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.fast_images import image_to_bytes
 from gibson_sim.ros.fast_publish import FastClock, FastSceneState
@@ -32,8 +33,6 @@ from gibson_sim.ros.node_main import end_with_parent, keep_large_blocks
 from gibson_sim.scenes.spec import WORLD_FRAME
 from gibson_sim.types import NS_PER_S, SceneState
 
-PATIENCE_S = 60.0
-"""How long a peer may take to appear, or a message to come; after that the role gives up."""
 PING, PONG, IMAGES = "gibson_sim_bench/ping", "gibson_sim_bench/pong", "gibson_sim_bench/images"
 END = "end"
 """``frame_id`` of the last image."""
@@ -42,39 +41,12 @@ LOCKSTEP_WARM_UP = 20
 """Ticks that do not count."""
 
 
-class WaitSet:
-    """The least that waits: one wait set of one subscription, made once."""
-
-    def __init__(self, node: Node, subscription: Any) -> None:
-        self._subscription = subscription
-        self._set = rclpy_implementation.WaitSet(1, 0, 0, 0, 0, 0, node.context.handle)
-
-    def spin_once(self, timeout_sec: float | None = None) -> None:
-        """Waits for messages and hands all that are there to the callback of the subscription."""
-        handle = self._subscription.handle
-        with handle, self._set:
-            self._set.clear_entities()
-            self._set.add_subscription(handle)
-            self._set.wait(-1 if timeout_sec is None else int(timeout_sec * NS_PER_S))
-            while (taken := handle.take_message(self._subscription.msg_type, self._subscription.raw)) is not None:
-                self._subscription.callback(taken[0])
-
-
-def _waiter(kind: str, node: Node, subscription: Any) -> Executor | WaitSet:
-    """Returns what waits for the one subscription of a node: ``standard``, ``events`` or ``wait set``."""
-    if kind == "wait set":
-        return WaitSet(node, subscription)
-    executor = make_executor("events" if kind == "events" else "standard")
-    executor.add_node(node)
-    return executor
-
-
 def pong(executor: str, form: str) -> None:
     """Sends every state back, until the process is ended."""
     node = Node("bench_pong")
     publisher = node.create_publisher(RosSceneState, PONG, qos.STATE)
     subscription = node.create_subscription(RosSceneState, PING, publisher.publish, qos.STATE, raw=form == "bytes")
-    waiter = _waiter(executor, node, subscription)
+    waiter = waiter_of(executor, node, subscription)
     while rclpy.ok():
         waiter.spin_once(timeout_sec=0.5)
 
@@ -85,12 +57,12 @@ def ping(executor: str, form: str, bodies: int, count: int) -> dict[str, Any]:
     publisher = node.create_publisher(RosSceneState, PING, qos.STATE)
     back: list[Any] = []
     subscription = node.create_subscription(RosSceneState, PONG, back.append, qos.STATE, raw=form == "bytes")
-    waiter = _waiter(executor, node, subscription)
+    waiter = waiter_of(executor, node, subscription)
     rng = np.random.default_rng(0)
     links = tuple(f"body_{i}/base" for i in range(bodies))
     arrays = [rng.normal(size=(bodies, width)) for width in (3, 4, 6)]
     fast = FastSceneState(WORLD_FRAME, bodies)
-    _wait(lambda: bool(publisher.get_subscription_count() and node.count_publishers(PONG)), waiter)
+    wait_until(lambda: bool(publisher.get_subscription_count() and node.count_publishers(PONG)), waiter)
 
     def round_trip(step: int) -> float:
         started = time.monotonic_ns()
@@ -110,7 +82,7 @@ def ping(executor: str, form: str, bodies: int, count: int) -> dict[str, Any]:
         return elapsed
 
     round_trip(0)
-    _settle(waiter, 0.5)
+    settle(waiter, 0.5)
     back.clear()
     microseconds = [round_trip(step) for step in range(1, count + count // 10 + 1)]
     return {"us": microseconds[-count:]}
@@ -121,7 +93,7 @@ def image_source(width: int, height: int, hz: float, count: int) -> dict[str, An
     node = Node("bench_image_source")
     publisher = node.create_publisher(Image, IMAGES, qos.SENSOR)
     pixels = np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
-    _wait(lambda: publisher.get_subscription_count() > 0, None)
+    wait_until(lambda: publisher.get_subscription_count() > 0, None)
     warm_up = int(hz * WARM_UP_S)
     start = time.monotonic()
     for number in range(warm_up + count + 1):
@@ -143,8 +115,8 @@ def image_sink(executor: str) -> dict[str, Any]:
         ages[msg.header.frame_id] = (time.monotonic_ns() - conversions.time_from_msg(msg.header.stamp)) / 1e6
 
     subscription = node.create_subscription(Image, IMAGES, on_image, qos.SENSOR)
-    waiter = _waiter(executor, node, subscription)
-    _wait(lambda: END in ages, waiter)
+    waiter = waiter_of(executor, node, subscription)
+    wait_until(lambda: END in ages, waiter)
     return {"ms": [age for label, age in ages.items() if label not in ("", END)]}
 
 
@@ -170,10 +142,10 @@ def listener(executor: str, use_sim_time: bool, parameter_services: bool, second
     )
     waiter = make_executor("events" if executor == "events" else "standard")
     waiter.add_node(node)
-    _wait(lambda: not use_sim_time or node.get_clock().now().nanoseconds > 0, waiter)
-    _settle(waiter, WARM_UP_S)
+    wait_until(lambda: not use_sim_time or node.get_clock().now().nanoseconds > 0, waiter)
+    settle(waiter, WARM_UP_S)
     wall, cpu, clock = time.monotonic(), _cpu_s(), node.get_clock().now().nanoseconds
-    _settle(waiter, seconds)
+    settle(waiter, seconds)
     passed = time.monotonic() - wall
     return {
         "cpu_percent": 100.0 * (_cpu_s() - cpu) / passed,
@@ -196,7 +168,7 @@ def _polling_listener(seconds: float) -> dict[str, Any]:
             found.append(conversions.time_from_msg(taken[0].clock))
         return taken is not None
 
-    _wait(look, None)
+    wait_until(look, None)
     time.sleep(WARM_UP_S)
     look()
     wall, cpu, first = time.monotonic(), _cpu_s(), found[-1]
@@ -229,15 +201,15 @@ def pipeline_sink(topics: list[str], seconds: float) -> dict[str, Any]:
     # The EventsExecutor gives no message info to callbacks.
     waiter = make_executor("standard")
     waiter.add_node(node)
-    _wait(lambda: all(images.values()), waiter)
+    wait_until(lambda: all(images.values()), waiter)
     # Not before: physics holds the first tick until somebody listens to the state, and that is to be the renderer.
     node.create_subscription(RosSceneState, names.SCENE_STATE, on_state, qos.TF)
-    _wait(lambda: bool(states), waiter)
+    wait_until(lambda: bool(states), waiter)
     started = time.monotonic()
-    _settle(waiter, seconds)
+    settle(waiter, seconds)
     passed = time.monotonic() - started
     last = states[-1][0]
-    _settle(waiter, STRAGGLERS_S)
+    settle(waiter, STRAGGLERS_S)
     return {"seconds": passed, "states": [s for s in states if s[0] <= last], "images": images}
 
 
@@ -260,7 +232,7 @@ def controller(topics: list[str], ticks: int) -> dict[str, Any]:
     participant = LockstepParticipant(node, after=names.ODOM)
     waiter = make_executor()
     waiter.add_node(node)
-    _wait(lambda: len(found) > LOCKSTEP_WARM_UP + ticks, waiter, progress=lambda: len(found))
+    wait_until(lambda: len(found) > LOCKSTEP_WARM_UP + ticks, waiter, progress=lambda: len(found))
     return {"tick_ns": found[LOCKSTEP_WARM_UP : LOCKSTEP_WARM_UP + ticks + 1]}
 
 
@@ -269,33 +241,12 @@ def _cpu_s() -> float:
     return time.process_time()
 
 
-def _settle(waiter: Executor | WaitSet, seconds: float) -> None:
-    """Works for some time."""
-    deadline = time.monotonic() + seconds
-    while (left := deadline - time.monotonic()) > 0 and rclpy.ok():
-        waiter.spin_once(timeout_sec=left)
-
-
-def _wait(condition: Callable[[], bool], waiter: Executor | WaitSet | None, progress: Callable[[], int] = lambda: 0) -> None:
-    """Works until ``condition`` holds.
-
-    Raises:
-        TimeoutError: it never did, and what ``progress`` counts did not grow any more.
-    """
-    deadline, before = time.monotonic() + PATIENCE_S, 0
-    while not condition():
-        if progress() > before:
-            deadline, before = time.monotonic() + PATIENCE_S, progress()
-        if time.monotonic() > deadline:
-            raise TimeoutError(f"nothing came within {PATIENCE_S:.0f} s")
-        if waiter is None:
-            time.sleep(0.02)
-        else:
-            waiter.spin_once(timeout_sec=0.05)
-
-
 ROLES: dict[str, Callable[..., dict[str, Any] | None]] = {
-    role.__name__: role for role in (ping, pong, image_source, image_sink, clock_source, listener, pipeline_sink, controller)
+    role.__name__: role
+    for role in (
+        *(ping, pong, image_source, image_sink, clock_source, listener, pipeline_sink, controller),
+        *(exchange, exchange_back, table_lockstep, table_free, soak_listener),
+    )
 }
 
 

@@ -1,0 +1,78 @@
+"""Memory, open files and files on disk of processes: what must not grow."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+WARM_UP = 0.25
+"""Part of a run after which things must stay as they are: caches fill, and Python keeps what it once had."""
+
+
+def resident_mb(pid: int | str = "self") -> float:
+    """Returns the resident memory of a process, MB; NaN where it is gone."""
+    try:
+        text = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
+    except OSError:
+        return math.nan
+    return next((int(line.split()[1]) / 1024 for line in text.splitlines() if line.startswith("VmRSS")), math.nan)
+
+
+def open_files(pid: int | str = "self") -> int:
+    """Returns how many files a process has open; 0 where it is gone."""
+    try:
+        return len(os.listdir(f"/proc/{pid}/fd"))
+    except OSError:
+        return 0
+
+
+def descendants(pid: int) -> dict[int, str]:
+    """Returns the processes that a process started, and they in turn, by number: the name of what they run."""
+    parents: dict[int, list[int]] = {}
+    for entry in os.listdir("/proc"):
+        if entry.isdigit():
+            try:
+                fields = Path(f"/proc/{entry}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+            except OSError:
+                continue
+            parents.setdefault(int(fields[1]), []).append(int(entry))
+    found, waiting = {}, [pid]
+    while waiting:
+        for child in parents.get(waiting.pop(), []):
+            found[child] = command_name(child)
+            waiting.append(child)
+    return found
+
+
+def command_name(pid: int) -> str:
+    """Returns the module or the file that a Python process runs; empty where it is gone."""
+    try:
+        words = Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
+    except OSError:
+        return ""
+    if "-m" in words:
+        return words[words.index("-m") + 1].rpartition(".")[2]
+    return Path(words[1] if len(words) > 1 and words[1] else words[0]).name
+
+
+def files_below(folders: Iterable[Path]) -> int:
+    """Returns how many files lie in folders and below."""
+    return sum(len(names) for folder in folders for _, _, names in os.walk(folder))
+
+
+def growth(values: Sequence[float]) -> float:
+    """Returns how much the mean of the last third is above that of the first third, after the warm-up; NaN = too few values."""
+    counted = np.asarray(values, dtype=np.float64)[int(len(values) * WARM_UP) :]
+    third = len(counted) // 3
+    return float(counted[-third:].mean() - counted[:third].mean()) if third else math.nan
+
+
+def drift(values: Sequence[float]) -> float:
+    """Returns the median of the last third over that of the first third, after the warm-up; NaN = too few values."""
+    counted = np.asarray(values, dtype=np.float64)[int(len(values) * WARM_UP) :]
+    third = len(counted) // 3
+    return float(np.median(counted[-third:]) / np.median(counted[:third])) if third else math.nan

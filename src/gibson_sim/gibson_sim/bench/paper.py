@@ -1,0 +1,73 @@
+"""The table of the paper that this project is measured by, and what of it cannot be compared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gibson_sim.types import OUTPUTS, Output
+
+V2_HARDWARE = "GeForce GTX 1080 Ti"
+V1_HARDWARE = "Xeon E5-2697 v4, Tesla V100"
+PHYSICS_SIZE, HOUSE_SIZE = (256, 256), (640, 480)
+"""Width and height of the images of the two tables, pixels."""
+FILLER = "RGB-D, filled"
+SENSOR_ONLY = "sensor only"
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """One row of the table: what is wanted of a frame, and what the paper has for it."""
+
+    name: str
+    outputs: tuple[Output, ...]
+    """Of the camera; empty = no image."""
+    v2: float | None = None
+    """Frames a second of Gibson Env V2; None = the paper has no such row."""
+    v1: float | None = None
+    """Frames a second of Gibson Env V1."""
+    note: str = ""
+    """What is not comparable about it."""
+
+
+MODES = (
+    Mode(
+        SENSOR_ONLY,
+        (),
+        1017.4,
+        396.1,
+        "the paper does not say what a frame is: 24 substeps of 1/240 s would have been 24,400 Bullet steps a second. Ours: odometry, "
+        "twist, joints and the poses of everything, IMU, bumper; no lidar",
+    ),
+    Mode(
+        "RGB-D, pre-filled",
+        ("rgb", "depth"),
+        264.2,
+        58.5,
+        "the paper drew twice, once for colours and once for depth, and read four floats a pixel; ours is one pass",
+    ),
+    Mode(
+        "semantic only", ("semantic",), 279.1, 144.2, "the paper's is one of three colours, by number modulo 3; ours are classes"
+    ),
+    Mode(
+        "surface normal", ("normal",), 271.1, 129.7, "the paper drew all its outputs in every mode; ours draws normals and depth"
+    ),
+    Mode("all outputs", OUTPUTS, note="not in the paper"),
+)
+"""The rows that can be measured."""
+FILLED = Mode(FILLER, ("rgb", "depth"), 61.7, 30.6, "not there: no filler in this version")
+"""The row that cannot."""
+HOUSES = (("Hillsdale", 620.4, 752.9), ("Albertville", 422.0, 688.2))
+"""Name, frames a second of Gibson Env V2 and of Habitat-sim, drawing only, both on V2's hardware."""
+HOUSE_NOTE = (
+    "the paper's scenes need a signed licence and cannot be shipped: ours are houses of ours made into what a scan would give, one mesh "
+    "with one texture; the way of the camera is not known either"
+)
+GENERAL = (
+    "No script of the paper's V2 column was published: robot, scene, time step and warm-up are not known.",
+    f"The V1 column was measured on another machine ({V1_HARDWARE}) than the V2 column ({V2_HARDWARE}).",
+)
+
+
+def mode_of(name: str) -> Mode:
+    """Returns a row by its name."""
+    return next(mode for mode in (*MODES, FILLED) if mode.name == name)

@@ -1,0 +1,182 @@
+"""``gibson-sim bench table1``: the paper's table, in this process, in lockstep and free-running over ROS 2."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from gibson_sim.bench.paper import MODES, PHYSICS_SIZE, Mode
+from gibson_sim.bench.protocol import STEP_HZ, WAYS, Plan, write_robot
+from gibson_sim.bench.rows import FREE, HOST, IN_PROCESS, LOCKSTEP, Row, Table1, free_row, lockstep_row
+from gibson_sim.bench.table1_report import report_text
+from gibson_sim.cli.bench_processes import CAMERA, BenchError, answer, process, role
+from gibson_sim.cli.environment import node_environment, require_nodes
+from gibson_sim.cli.quiet import quiet
+from gibson_sim.cli.report_file import add_report_options, write_json
+from gibson_sim.cli.shared_memory import remove_dead_segments
+from gibson_sim.errors import ConfigError
+from gibson_sim.types import OUTPUTS
+
+START_S = 120.0
+"""Within so long a simulation has loaded its scene."""
+_TOPIC: dict[str, str] = {
+    "rgb": f"{CAMERA}/image_raw",
+    **{name: f"{CAMERA}/{name}/image_raw" for name in OUTPUTS if name != "rgb"},
+}
+_EXCHANGES = 60
+_MOST = 0.9
+"""Part of the images of lockstep that must have come by the last tick: the last ones may be under way."""
+Tell = Callable[[str], None]
+
+
+def add_parser(kinds: Any) -> None:
+    """Adds the sub-command."""
+    parser = kinds.add_parser(
+        "table1",
+        help="the paper's table: frames a second by mode, with full physics and drawing only, in process and over ROS 2",
+        description="The paper's rows, the limits beside them, and what of them is reached. Nothing else should run meanwhile.",
+    )
+    parser.add_argument("--quick", action="store_true", help="24 substeps and 1, fewer frames")
+    parser.add_argument("--only", default="", metavar="A,B", help=f"some of {', '.join(WAYS)} (default: all)")
+    parser.add_argument("--scene", help=f"scene with physics (default: {Plan().scene})")
+    parser.add_argument(
+        "--house",
+        action="append",
+        default=[],
+        metavar="X",
+        help="house to draw, instead of ours; may be given again: name or path",
+    )
+    parser.add_argument("--device", help="EGL device of what is measured in this process, as `gibson-sim doctor` lists them")
+    add_report_options(parser)
+    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Prints the tables, and writes the JSON file if one is named."""
+    plan = plan_of(args)
+    if {LOCKSTEP, FREE} & set(plan.ways):
+        require_nodes()
+    report = measure(plan, domain_id=args.domain_id, tell=lambda line: print(line, file=sys.stderr, flush=True))
+    print(report_text(report, markdown=args.markdown))
+    write_json(args.json, report.as_json())
+    return 0
+
+
+def plan_of(args: argparse.Namespace) -> Plan:
+    """Returns what the options ask for.
+
+    Raises:
+        ConfigError: one of them cannot be read.
+    """
+    ways = tuple(way for way in args.only.split(",") if way) or WAYS
+    unknown = [way for way in ways if way not in WAYS]
+    if unknown:
+        raise ConfigError(f"--only: {', '.join(unknown)} must be of {', '.join(WAYS)}")
+    plan = replace(Plan.quick() if args.quick else Plan(), ways=ways)
+    device = int(args.device) if args.device is not None and args.device.isdigit() else args.device
+    return replace(plan, scene=args.scene or plan.scene, houses=tuple(args.house) or plan.houses, device=device)
+
+
+@quiet()
+def measure(plan: Plan, *, domain_id: int | None = None, tell: Tell = lambda line: None) -> Table1:
+    """Returns what was measured; what fails over ROS is left out, and the report says why.
+
+    Args:
+        plan: what to measure; what is measured over ROS needs the rows in process, whose limits it shares.
+        domain_id: ROS domain; None = as the environment says.
+        tell: is told in one line what is going on.
+    """
+    from gibson_sim.bench import table1
+
+    over_ros = [way for way in (LOCKSTEP, FREE) if way in plan.ways]
+    with tempfile.TemporaryDirectory(prefix="gibson-sim-bench-") as folder:
+        robot = write_robot(Path(folder), PHYSICS_SIZE)
+        ways = tuple(dict.fromkeys((*plan.ways, *((IN_PROCESS,) if over_ros else ()))))
+        report = table1.measure(replace(plan, ways=ways), robot, tell)
+        alone = {(row.mode, row.substeps): row for row in report.rows if row.substeps and row.to == HOST}
+        rows, left_out = list(report.rows), []
+        if over_ros:
+            environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **node_environment(domain_id=domain_id)}
+            try:
+                tell("messages alone")
+                exchanged = _exchanged(environment)
+                for way, substeps, drawn in ((w, k, d) for w in over_ros for k in plan.substeps for d in (False, True)):
+                    tell(f"{way}: {substeps} substeps, {'images' if drawn else 'no images'}")
+                    try:
+                        rows += _over_ros(way, plan, environment, robot, substeps, drawn, alone, exchanged)
+                    except BenchError as error:
+                        left_out.append(f"{way}, {substeps} substeps, {'images' if drawn else 'no images'}: {error}")
+            except BenchError as error:
+                left_out.append(f"{', '.join(over_ros)}: {error}")
+            remove_dead_segments()
+    return replace(report, rows=tuple(rows), left_out=tuple(left_out))
+
+
+def _exchanged(environment: Mapping[str, str]) -> dict[str, dict[str, float]]:
+    """Returns of each mode what its messages take with nothing around them."""
+    outputs = [list(mode.outputs) for mode in MODES]
+    width, height = PHYSICS_SIZE
+    with role(environment, "exchange_back", outputs=outputs):
+        options = {"outputs": outputs, "width": width, "height": height, "bodies": 50, "count": _EXCHANGES}
+        rows = answer(environment, "exchange", 30.0, **options)["rows"]
+    return {mode.name: row for mode, row in zip(MODES, rows, strict=True)}
+
+
+def _over_ros(
+    way: str,
+    plan: Plan,
+    environment: Mapping[str, str],
+    robot: Path,
+    substeps: int,
+    drawn: bool,
+    alone: Mapping[tuple[str, int], Row],
+    exchanged: Mapping[str, Mapping[str, float]],
+) -> Iterator[Row]:
+    """Returns the rows with images, or the one without, of one simulation that runs for all of them."""
+    modes = [mode for mode in MODES if bool(mode.outputs) == drawn]
+    topics = [[_TOPIC[output] for output in mode.outputs] for mode in modes]
+    with process(_command(way, plan.scene, robot, substeps, modes), environment):
+        if way == LOCKSTEP:
+            counts = [plan.frames if mode.outputs else plan.sensor_frames for mode in modes]
+            expected = START_S + 0.1 * sum(counts)
+            heard = answer(environment, "table_lockstep", expected, cases=topics, counts=counts, substeps=substeps)
+        else:
+            expected = START_S + len(modes) * plan.seconds
+            heard = answer(environment, "table_free", expected, cases=topics, seconds=plan.seconds, substeps=substeps)
+    for k, mode in enumerate(modes):
+        here, messages = alone[mode.name, substeps], exchanged[mode.name]
+        if way == LOCKSTEP:
+            if mode.outputs and heard["sets"][k] < _MOST * (len(heard["ticks"][k]) - 2):
+                raise BenchError(f"{mode.name}: {heard['sets'][k]} sets of images came in {len(heard['ticks'][k])} ticks")
+            yield lockstep_row(heard["ticks"][k], here, messages)
+        elif len(heard["received"][k]) > 2:
+            yield free_row(heard["received"][k], heard["ticks"][k], here, messages)
+
+
+def _command(way: str, scene: str, robot: Path, substeps: int, modes: list[Mode]) -> list[str]:
+    """Returns the simulation: one tick a frame, as fast as it can."""
+    hz = str(STEP_HZ // substeps)
+    outputs = ",".join(name for name in OUTPUTS if any(name in mode.outputs for mode in modes))
+    options = [
+        "--scene",
+        scene,
+        "--robot",
+        str(robot),
+        "--rate",
+        "max",
+        "--step-hz",
+        str(STEP_HZ),
+        "--publish-hz",
+        hz,
+        "--clock-hz",
+        hz,
+    ]
+    options += ["--camera-rate", hz, "--camera-outputs", outputs] if outputs else ["--no-render"]
+    options += ["--lockstep", "--participants", "bench_controller"] if way == LOCKSTEP else []
+    return [sys.executable, "-m", "gibson_sim.cli.main", "run", *options]

@@ -1,0 +1,83 @@
+"""Scans that are made of our scenes: as many triangles as asked for, no cracks, one texture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from gibson_sim.bench.houses import divided, make_scan
+from gibson_sim.bench.memory import drift, growth
+from gibson_sim.errors import SceneError
+from gibson_sim.scenes.load import load_scene
+from gibson_sim.scenes.mesh import load_mesh
+
+CORNERS = np.array([[0.0, 0, 0], [4, 0, 0], [4, 1, 0], [0, 1, 0]])
+TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def _area(vertices: np.ndarray, triangles: np.ndarray) -> float:
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    return float(np.cross(b - a, c - a)[:, 2].sum() / 2)
+
+
+def test_divided_surfaces_keep_their_area_their_side_and_their_texture() -> None:
+    vertices, uvs, triangles = divided(CORNERS, CORNERS[:, :2] / 4, TRIANGLES, 500)
+    assert len(triangles) >= 500
+    assert _area(vertices, triangles) == pytest.approx(4.0)
+    np.testing.assert_allclose(uvs, vertices[:, :2] / 4, atol=1e-12)
+
+
+def test_divided_surfaces_have_no_cracks_where_corners_are_stored_twice() -> None:
+    split = CORNERS[[0, 1, 2, 0, 2, 3]]
+    vertices, _, triangles = divided(split, split[:, :2], np.arange(6).reshape(2, 3), 300)
+    where = np.unique(np.rint(vertices * 1e6), axis=0, return_inverse=True)[1].reshape(-1)[triangles]
+    edges = np.sort(where[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    unique, uses = np.unique(edges, axis=0, return_counts=True)
+    ends = np.unique(np.rint(vertices * 1e6), axis=0)[unique] / 1e6
+    rim = ((ends[:, :, 0] == 0) | (ends[:, :, 0] == 4)).all(axis=1) | ((ends[:, :, 1] == 0) | (ends[:, :, 1] == 1)).all(axis=1)
+    assert set(uses[~rim].tolist()) == {2}
+
+
+def test_enough_triangles_stay_as_they_are() -> None:
+    assert divided(CORNERS, CORNERS[:, :2], TRIANGLES, 2)[2] is TRIANGLES
+
+
+def _scene(folder: Path, uv: float) -> Path:
+    cv2.imwrite(str(folder / "red.png"), np.full((8, 8, 3), (0, 0, 255), dtype=np.uint8))
+    (folder / "a.mtl").write_text("newmtl red\nKd 1 1 1\nmap_Kd red.png\nnewmtl green\nKd 0 1 0\n")
+    (folder / "a.obj").write_text(
+        "mtllib a.mtl\nusemtl red\nv 0 0 0\nv 4 0 0\nv 4 4 0\nv 0 4 0\nv 0 4 2\nv 4 4 2\n"
+        f"vt 0 0\nvt {uv} 0\nvt {uv} 1\nvt 0 1\nf 1/1 2/2 3/3\nf 1/1 3/3 4/4\nusemtl green\nf 4/1 3/1 6/1\nf 4/1 6/1 5/1\n"
+    )
+    (folder / "scene.yaml").write_text("name: two\nfloor_z: 0.0\nobjects:\n- {name: a, mesh: a.obj, semantic_class: wall}\n")
+    return folder
+
+
+def test_a_scan_is_one_uneven_mesh_with_one_texture_that_shows_what_was_there(tmp_path: Path) -> None:
+    (tmp_path / "from").mkdir()
+    (tmp_path / "to").mkdir()
+    made = make_scan(load_scene(_scene(tmp_path / "from", 1.0)), 400, tmp_path / "to")
+    scan = load_scene(tmp_path / "to")
+    (part,) = load_mesh(Path(scan.visuals[0].shape.mesh), [tmp_path / "to"]).parts
+    assert len(scan.visuals) == 1
+    assert len(part.triangles) == made >= 400
+    floor = part.vertices[:, 1] < 3.9
+    assert 0.0005 < float(part.vertices[floor, 2].std()) < 0.01
+    pixels, uvs = part.material.texture.pixels, part.uvs
+    rows, columns = (uvs[:, 1] * pixels.shape[0]).astype(int), (uvs[:, 0] * pixels.shape[1]).astype(int)
+    seen = pixels[rows.clip(0, pixels.shape[0] - 1), columns.clip(0, pixels.shape[1] - 1)]
+    assert (seen[floor].mean(axis=0) > (200, -1, -1)).all()
+    assert seen[part.vertices[:, 2] > 1.0].mean(axis=0)[1] > 200
+
+
+def test_a_repeated_texture_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="repeated"):
+        make_scan(load_scene(_scene(tmp_path, 3.0)), 400, tmp_path)
+
+
+def test_growth_and_drift_compare_the_last_third_with_the_first_after_the_warm_up() -> None:
+    values = [999.0, 999.0, 999.0, *[10.0] * 3, *[0.0] * 3, *[15.0] * 3]
+    assert (growth(values), drift(values)) == (5.0, 1.5)
