@@ -10,7 +10,8 @@ import pytest
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.geometry.transforms import quat_from_rpy
-from gibson_sim.render.batches import MAX_LABEL, build_batches
+from gibson_sim.render.batches import MAX_LABEL
+from gibson_sim.render.building import build_batches
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.robots.spec import VisualSpec
 from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart, TextureSource

@@ -12,8 +12,11 @@ from numpy.typing import NDArray
 from gibson_sim.render import gl_scene
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.render.target import Target
+from gibson_sim.robots.spec import Shape, VisualSpec
+from gibson_sim.scenes.mesh_types import Material, TextureSource
+from gibson_sim.scenes.primitives import primitive_mesh
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame, SceneState
-from render.drawing import BLUE, EYE, RED, box, scene, state
+from render.drawing import BLUE, EYE, RED, box, quad, scene, state, where
 from render.rooms import rooms, way
 
 pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
@@ -38,10 +41,12 @@ def _few_triangles_are_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gl_scene, "_OCCLUSION_FROM", 1)
 
 
-def _drawn(renderer: Renderer, cameras: list[CameraSpec], occlusion: bool, now: SceneState = NOW) -> tuple[list[Frame], int]:
+def _drawn(
+    renderer: Renderer, cameras: list[CameraSpec], occlusion: bool, now: SceneState = NOW, before: SceneState = BEFORE
+) -> tuple[list[Frame], int]:
     assert renderer._scene is not None
     renderer._scene._occlusion = occlusion
-    frames = renderer.render(now, cameras, BEFORE)
+    frames = renderer.render(now, cameras, before)
     return frames, renderer._scene.drawn_triangles
 
 
@@ -60,6 +65,46 @@ def test_a_picture_is_the_same_for_fewer_triangles(renderer: Renderer) -> None:
         assert np.isfinite(without[0].depth).mean() > 0.9
         fewer, all_of_them = fewer + some, all_of_them + every
     assert 0 < fewer < 0.8 * all_of_them
+
+
+def test_the_nearest_things_are_drawn_first_where_large_ones_leave_gaps(
+    renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, large_alone = _drawn(renderer, PLAIN[:1], True)
+    monkeypatch.setattr(gl_scene, "_NEAR_FROM", 1)
+    monkeypatch.setattr(gl_scene, "_COVERED", 1.1)
+    for camera in PLAIN:
+        (with_it, some), (without, every) = (_drawn(renderer, [camera], on) for on in (True, False))
+        _assert_equal(with_it, without)
+        assert some < every
+    assert _drawn(renderer, PLAIN[:1], True)[1] <= large_alone
+
+
+def test_which_of_two_surfaces_at_one_depth_is_seen_does_not_depend_on_what_is_hidden() -> None:
+    # Sheets and plates are drawn in turns, the kind with the nearest thing first. That thing is a sheet behind the wall.
+    sheet = quad([(0.0, 0.3, 0.3), (0.0, -0.3, 0.3), (0.0, -0.3, -0.3), (0.0, 0.3, -0.3)], Material(base_color=RED, unlit=True))
+    pane = Material(texture=TextureSource("grey", np.full((4, 4, 3), 200, dtype=np.uint8)))
+    wall = quad([(1.0, 1.0, 1.0), (1.0, -0.05, 1.0), (1.0, -0.05, -1.0), (1.0, 1.0, -1.0)], pane)
+    meshes = {"/sheet": sheet, "/wall": wall}
+    visuals = [VisualSpec(name, name, Shape("mesh", mesh="/sheet")) for name in ("hidden", "seen")]
+    visuals.append(VisualSpec("wall", "wall", Shape("mesh", mesh="/wall")))
+    visuals.append(box((0.5, 0.0, 0.0), BLUE, (1.0, 0.6, 0.6), link="block"))
+    links = ("hidden", "seen", "wall", "block")
+    drawn = scene(*visuals, links=links)
+    now = state(links, [(1.5, 0.9, 0.0), (3.0, -0.3, 0.0), (0.0, 0.0, 0.0), (3.0, -0.3, 0.0)])
+    with Renderer(drawn, loader=lambda s: meshes[s.mesh] if s.kind == "mesh" else primitive_mesh(s)) as one:
+        camera = replace(EYE, outputs=OUTPUTS)
+        (with_it, some), (without, every) = (_drawn(one, [camera], on, now, now) for on in (True, False))
+    _assert_equal(with_it, without)
+    assert some < every
+    assert where(without[0], 0).sum() > 20
+
+
+def test_depth_alone_is_that_of_the_whole_picture(renderer: Renderer) -> None:
+    for camera in PLAIN[:3]:
+        (alone, *_), _ = _drawn(renderer, [replace(camera, outputs=("depth",))], True)
+        (whole, *_), _ = _drawn(renderer, [camera], False)
+        np.testing.assert_array_equal(alone.depth, whole.depth)
 
 
 def test_pictures_side_by_side_hide_nothing_of_each_other(renderer: Renderer) -> None:

@@ -9,8 +9,9 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.render import batches
-from gibson_sim.render.batches import Batches, build_batches
+from gibson_sim.render import joining
+from gibson_sim.render.batches import Batches
+from gibson_sim.render.building import build_batches
 from gibson_sim.render.clusters import places
 from gibson_sim.robots.spec import Shape, VisualSpec
 from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart, TextureSource, area_normals
@@ -88,7 +89,7 @@ def textured(name: str, unlit: bool = True) -> Material:
 
 def detail_from(triangles: int) -> AbstractContextManager[object]:
     """Lets scenes of so many triangles have levels of detail, as long as it is entered."""
-    return mock.patch.object(batches, "DETAIL_FROM", triangles)
+    return mock.patch.object(joining, "DETAIL_FROM", triangles)
 
 
 def batches_of(mesh: Mesh, coarser: bool = True) -> Batches:

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from gibson_sim.render import cache as module
-from gibson_sim.render.batches import Batches, build_batches
+from gibson_sim.render.batches import Batches
+from gibson_sim.render.building import build_batches
 from gibson_sim.render.cache import SceneCache, default_folder
 from gibson_sim.robots.spec import Look, Shape, VisualSpec
 from gibson_sim.scenes.mesh import MeshLoader

@@ -245,7 +245,7 @@ def test_without_a_simplifier_there_is_one_level_with_everything(monkeypatch: py
 
 
 def test_a_large_scene_without_a_simplifier_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gibson_sim.render.batches.simplifier", lambda: None)
+    monkeypatch.setattr("gibson_sim.render.joining.simplifier", lambda: None)
     (warning,) = batches_of(Mesh((bumpy_grid(40),))).warnings
     assert "3200 triangles" in warning
     assert "pip install meshoptimizer" in warning

@@ -179,7 +179,7 @@ def _code_digest() -> str:
     """Returns a digest of the code that reads meshes and cuts them: another version of it may make something else of them."""
     package = Path(__file__).parent.parent
     files = [file for folder in ("geometry", "scenes") for file in sorted((package / folder).glob("*.py"))]
-    files += [package / "render" / "batches.py", package / "render" / "clusters.py"]
+    files += [package / "render" / f"{name}.py" for name in ("batches", "building", "clusters", "joining", "material_table")]
     digest = hashlib.sha256()
     for file in files:
         digest.update(file.read_bytes())

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.render.batches import MAX_LABEL, Batches, Loader, build_batches
+from gibson_sim.render.batches import MAX_LABEL, Batches, Loader
+from gibson_sim.render.building import build_batches
 from gibson_sim.render.parts import BODY, Join, Labels, Numbers, Part, Use
 from gibson_sim.robots.spec import VisualSpec
 from gibson_sim.scenes.spec import DrawnScene

@@ -11,7 +11,8 @@ from gibson_sim.errors import RenderError
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.render import gl as GL
 from gibson_sim.render.context import GlContext
-from gibson_sim.render.gl_scene import GlScene, Picture
+from gibson_sim.render.gl_scene import GlScene
+from gibson_sim.render.planning import Picture
 from gibson_sim.render.readback import Shot
 from gibson_sim.render.resample import Resampler
 from gibson_sim.render.target import Feature, Target

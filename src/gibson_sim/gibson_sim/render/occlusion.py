@@ -9,9 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.geometry.transforms import Mat4
-
+F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+SQUARE = 8
+"""Side of the smallest squares, pixels."""
 _MARGIN = 1e-5
 """Part by which a box must lie deeper, since depths are rounded."""
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
@@ -24,72 +26,85 @@ class DepthPyramid:
         depth: (H, W) float32, ``near / depth``, 0 = nothing.
     """
 
-    def __init__(self, depth: NDArray[np.float32]) -> None:
+    def __init__(self, depth: F32) -> None:
         self.height, self.width = depth.shape
-        levels = [depth]
+        levels = [_least_of_squares(depth, SQUARE)]
         while levels[-1].size > 1:
-            level = levels[-1]
-            if level.shape[0] % 2:
-                level = np.concatenate([level, level[-1:]])
-            if level.shape[1] % 2:
-                level = np.concatenate([level, level[:, -1:]], axis=1)
-            rows = np.minimum(level[0::2], level[1::2])
-            levels.append(np.minimum(rows[:, 0::2], rows[:, 1::2]))
+            levels.append(_least_of_squares(levels[-1], 2))
         self._widths = np.array([level.shape[1] for level in levels])
         self._firsts = np.cumsum([0, *(level.size for level in levels[:-1])])
         self._values = np.concatenate([level.ravel() for level in levels])
 
-    def least(
-        self, x0: NDArray[np.int64], y0: NDArray[np.int64], x1: NDArray[np.int64], y1: NDArray[np.int64]
-    ) -> NDArray[np.float32]:
+    def least(self, x0: I64, y0: I64, x1: I64, y1: I64) -> F32:
         """Returns a bound below all values in the rectangles, (N,); all ends belong to them and lie inside the image."""
-        size = np.maximum(np.maximum(x1 - x0, y1 - y0), 0)
+        x0, y0, x1, y1 = x0 // SQUARE, y0 // SQUARE, x1 // SQUARE, y1 // SQUARE
         # The level at which a rectangle touches two squares a side at most.
-        level = np.minimum(np.ceil(np.log2(size + 1)).astype(np.int64), len(self._widths) - 1)
+        level = np.frexp(np.maximum(np.maximum(x1 - x0, y1 - y0) - 1, 0))[1]
+        np.minimum(level, len(self._widths) - 1, out=level)
         first, width = self._firsts[level], self._widths[level]
         top, bottom = first + (y0 >> level) * width, first + (y1 >> level) * width
         left, right = x0 >> level, x1 >> level
         v = self._values
-        least: NDArray[np.float32] = np.minimum(
-            np.minimum(v[top + left], v[top + right]), np.minimum(v[bottom + left], v[bottom + right])
-        )
+        least: F32 = np.minimum(np.minimum(v[top + left], v[top + right]), np.minimum(v[bottom + left], v[bottom + right]))
         return least
 
 
-def hidden(pyramid: DepthPyramid, boxes: F64, T_camera_box: F64, intrinsics: F64, near: float) -> NDArray[np.bool_]:
-    """Returns which boxes cannot be seen, (N,).
+def _least_of_squares(values: F32, side: int) -> F32:
+    """Returns the least value of each square, those at the right and at the bottom perhaps smaller."""
+    missing = -np.array(values.shape) % side
+    if missing.any():
+        values = np.pad(values, ((0, missing[0]), (0, missing[1])), mode="edge")
+    rows = values[0::side]
+    for k in range(1, side):
+        rows = np.minimum(rows, values[k::side])
+    least = rows[:, 0::side]
+    for k in range(1, side):
+        least = np.minimum(least, rows[:, k::side])
+    return least
+
+
+def pixels_from_links(T_camera_links: F64, intrinsics: F64) -> F64:
+    """Returns what takes a point of each link to (u z, v z, z), pixels and metres, (L, 3, 4).
 
     Args:
-        pyramid: of the depth image so far.
-        boxes: (N, 6), centre and half the size, metres.
-        T_camera_box: (4, 4), or (N, 4, 4): optical frame from the frame of the boxes.
+        T_camera_links: (L, 4, 4): optical frame from the frame of each link.
         intrinsics: K, (3, 3), pixels.
+    """
+    pixels: F64 = np.vstack([np.asarray(intrinsics, dtype=np.float64)[:2], [0.0, 0.0, 1.0]]) @ T_camera_links[:, :3]
+    return pixels
+
+
+class Outlines:
+    """Where boxes lie in a picture: what can be worked out before there is a depth image.
+
+    Args:
+        boxes: (N, 6), centre and half the size, metres.
+        pixels_from_box: (N, 3, 4), of each box, as ``pixels_from_links`` returns them.
+        size: width and height of the picture, pixels.
         near: metres.
     """
-    R, t = np.asarray(T_camera_box)[..., :3, :3], np.asarray(T_camera_box)[..., :3, 3]
-    centre = np.einsum("...ij,...j->...i", R, boxes[:, :3]) + t
-    reach = (
-        np.einsum("...ij,nj,kj->nki", R, boxes[:, 3:], _CORNERS)
-        if R.ndim == 2
-        else np.einsum("nij,nj,kj->nki", R, boxes[:, 3:], _CORNERS)
-    )
-    corners = centre[:, None] + reach
-    nearest = corners[:, :, 2].min(axis=1)
-    ahead = nearest > near
-    with np.errstate(divide="ignore", invalid="ignore"):
-        uv = (corners @ _rows(intrinsics).T) / corners[:, :, 2:]
-    low = np.floor(np.where(ahead[:, None], uv.min(axis=1), 0.0)).astype(np.int64)
-    high = np.ceil(np.where(ahead[:, None], uv.max(axis=1), 0.0)).astype(np.int64)
-    size = np.array([pyramid.width, pyramid.height])
-    outside = (high < 0).any(axis=1) | (low >= size).any(axis=1)
-    low, high = np.clip(low, 0, size - 1), np.clip(high, 0, size - 1)
-    least = pyramid.least(low[:, 0], low[:, 1], high[:, 0], high[:, 1])
-    with np.errstate(divide="ignore"):
-        deeper = near / np.maximum(nearest, near) < least * (1.0 - _MARGIN)
-    covered: NDArray[np.bool_] = ahead & (outside | deeper)
-    return covered
 
+    def __init__(self, boxes: F64, pixels_from_box: F64, size: tuple[int, int], near: float) -> None:
+        matrices = pixels_from_box[:, :, :3]
+        centre = np.matmul(matrices, boxes[:, :3, None])[:, :, 0] + pixels_from_box[:, :, 3]
+        half = np.ascontiguousarray((matrices * boxes[:, None, 3:]).transpose(1, 2, 0))
+        # (3, 8, N): numpy is quickest along many boxes.
+        corners = np.matmul(_CORNERS, half)
+        corners += centre.T[:, None]
+        nearest = corners[2].min(axis=0)
+        self._ahead = nearest > near
+        with np.errstate(divide="ignore", invalid="ignore"):
+            uv = corners[:2] / corners[2]
+        # What is not ahead is never hidden, wherever it is.
+        low = np.floor(np.where(self._ahead, uv.min(axis=1), 0.0))
+        high = np.ceil(np.where(self._ahead, uv.max(axis=1), 0.0))
+        end = np.array([[size[0]], [size[1]]])
+        self._outside = ((high < 0) | (low >= end)).any(axis=0)
+        self._first, self._last = (np.clip(ends, 0, end - 1).astype(np.int64) for ends in (low, high))
+        self._reversed_depth = near / np.maximum(nearest, near)
 
-def _rows(intrinsics: Mat4 | F64) -> F64:
-    """Returns the two rows of K that give pixels, (2, 3)."""
-    return np.asarray(intrinsics, dtype=np.float64)[:2]
+    def hidden(self, pyramid: DepthPyramid) -> NDArray[np.bool_]:
+        """Returns which boxes cannot be seen past what is in the depth image of the picture, (N,)."""
+        deeper = self._reversed_depth < pyramid.least(*self._first, *self._last) * (1.0 - _MARGIN)
+        covered: NDArray[np.bool_] = self._ahead & (self._outside | deeper)
+        return covered

@@ -126,7 +126,12 @@ def frame_from_raw(shot: Shot, raw: dict[str, NDArray[Any]]) -> Frame:
 def _depth(raw: F32, camera: CameraSpec) -> F32:
     """Returns metres, +inf = nothing nearer than ``far``."""
     near, far = np.float32(camera.near), np.float32(camera.far)
-    depth = np.divide(near, raw, out=np.full(raw.shape, np.inf, dtype=np.float32), where=raw >= near / far)
+    with np.errstate(divide="ignore"):
+        depth: F32 = near / raw
+    # Few images show anything beyond: to look is quicker than to choose for each pixel.
+    least = near / far
+    if float(raw.min()) < least:
+        depth[raw < least] = np.inf
     return depth
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -15,7 +16,8 @@ from gibson_sim.config import DETAIL_PX
 from gibson_sim.errors import ConfigError, RenderError, SceneMismatchError
 from gibson_sim.geometry.exposures import Exposure, exposures
 from gibson_sim.geometry.transforms import Mat4, matrices_from_poses, matrix_from_pose
-from gibson_sim.render.batches import Batches, Loader, Progress, build_batches
+from gibson_sim.render.batches import Batches, Loader, Progress
+from gibson_sim.render.building import build_batches
 from gibson_sim.render.cache import SceneCache
 from gibson_sim.render.composition import Composition
 from gibson_sim.render.context import LIBRARY, GlContext, open_context
@@ -30,7 +32,7 @@ from gibson_sim.render.tensors import TensorFrame, Tensors
 from gibson_sim.render.tiles import arrange
 from gibson_sim.scenes.mesh import MeshLoader
 from gibson_sim.scenes.spec import DrawnScene
-from gibson_sim.types import CameraSpec, Frame, SceneState
+from gibson_sim.types import CameraSpec, Frame, Pose, SceneState
 
 
 class Renderer:
@@ -137,6 +139,7 @@ class Renderer:
     def _describe(self, scene: DrawnScene, batches: Batches, warnings: tuple[str, ...]) -> None:
         assert self._scene is not None
         self._links, self._revision, self.warnings = tuple(scene.links), scene.revision, warnings
+        self._link_rows = {name: row for row, name in enumerate(("", *self._links))}
         opened = self.context.device
         self.info = {
             "renderer": opened.renderer,
@@ -305,11 +308,11 @@ class Renderer:
 
     def _camera_matrix(self, camera: CameraSpec, T_world_links: NDArray[np.float64]) -> Mat4:
         """Returns T_world_camera, (4, 4)."""
-        if camera.link and camera.link not in self._links:
+        row = self._link_rows.get(camera.link)
+        if row is None:
             known = ", ".join(self._links) or "none"
             raise ConfigError(f"camera {camera.name!r}: link {camera.link!r} is not in the scene; its links: {known}")
-        row = self._links.index(camera.link) + 1 if camera.link else 0
-        T_world_camera: Mat4 = T_world_links[row] @ matrix_from_pose(camera.pose)
+        T_world_camera: Mat4 = T_world_links[row] @ _mount(camera.pose)
         return T_world_camera
 
     def close(self) -> None:
@@ -345,6 +348,12 @@ def _alike(cameras: Sequence[CameraSpec]) -> list[tuple[tuple[Feature, ...], lis
         key = features_of(camera.outputs), color, camera.samples if color else 1, "/" in camera.link
         groups.setdefault(key, []).append(k)
     return [(features, numbers) for (features, *_), numbers in groups.items()]
+
+
+@lru_cache(maxsize=256)
+def _mount(pose: Pose) -> Mat4:
+    """Returns T_link_camera, (4, 4); not to be written to."""
+    return matrix_from_pose(pose)
 
 
 def _loaded(

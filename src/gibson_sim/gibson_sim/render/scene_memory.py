@@ -40,28 +40,37 @@ class SceneMemory:
         self._texture_of: dict[int, tuple[int, int]] = {}
         self.textures: list[int] = []
         """In the order of ``Batches.textures``."""
-        self.array = 0
-        """The vertex array that draws read."""
-        self._vertices, self._indices, self._placements = (self._buffer() for _ in range(3))
+        self._arrays: list[int] = []
+        self._vertices, self._indices, self._occluders, self._placements = (self._buffer() for _ in range(4))
         self.materials, self.looks = self._buffer(), self._buffer()
-        self.array = gl.create("glCreateVertexArrays")
+        self.array = self._array(self._indices)
+        """The vertex array that draws read."""
+        self.occluder_array = self._array(self._occluders)
+        """The same with the indices of ``Occluders``."""
+
+    def _array(self, indices: int) -> int:
+        """Returns a vertex array over the vertices, with the buffer ``indices``."""
+        gl = self._gl
+        array = gl.create("glCreateVertexArrays")
+        self._arrays.append(array)
         for location, numbers, kind, normalised, name in _ATTRIBUTES:
             offset = VERTEX.fields[name][1]  # type: ignore[index]
             if normalised is None:
-                gl.glVertexArrayAttribIFormat(self.array, location, numbers, kind, offset)
+                gl.glVertexArrayAttribIFormat(array, location, numbers, kind, offset)
             else:
-                gl.glVertexArrayAttribFormat(self.array, location, numbers, kind, normalised, offset)
-            gl.glVertexArrayAttribBinding(self.array, location, 0)
-            gl.glEnableVertexArrayAttrib(self.array, location)
+                gl.glVertexArrayAttribFormat(array, location, numbers, kind, normalised, offset)
+            gl.glVertexArrayAttribBinding(array, location, 0)
+            gl.glEnableVertexArrayAttrib(array, location)
         # One number for each instance, of which there is one in each draw: its base says which link the draw belongs to.
         for location, name in _PLACED:
-            gl.glVertexArrayAttribIFormat(self.array, location, 1, GL.UNSIGNED_INT, PLACEMENT.fields[name][1])  # type: ignore[index]
-            gl.glVertexArrayAttribBinding(self.array, location, 1)
-            gl.glEnableVertexArrayAttrib(self.array, location)
-        gl.glVertexArrayBindingDivisor(self.array, 1, 1)
-        gl.glVertexArrayVertexBuffer(self.array, 0, self._vertices, 0, VERTEX.itemsize)
-        gl.glVertexArrayVertexBuffer(self.array, 1, self._placements, 0, PLACEMENT.itemsize)
-        gl.glVertexArrayElementBuffer(self.array, self._indices)
+            gl.glVertexArrayAttribIFormat(array, location, 1, GL.UNSIGNED_INT, PLACEMENT.fields[name][1])  # type: ignore[index]
+            gl.glVertexArrayAttribBinding(array, location, 1)
+            gl.glEnableVertexArrayAttrib(array, location)
+        gl.glVertexArrayBindingDivisor(array, 1, 1)
+        gl.glVertexArrayVertexBuffer(array, 0, self._vertices, 0, VERTEX.itemsize)
+        gl.glVertexArrayVertexBuffer(array, 1, self._placements, 0, PLACEMENT.itemsize)
+        gl.glVertexArrayElementBuffer(array, indices)
+        return array
 
     def take(self, b: Batches, same_vertices: int, same_indices: int) -> None:
         """Takes batches.
@@ -78,6 +87,10 @@ class SceneMemory:
         if len(b.looks):
             self._fill(self.looks, b.looks)
         self._take_textures(b.textures)
+
+    def take_occluders(self, indices: NDArray[np.uint32]) -> None:
+        """Takes the indices of large triangles of the vertices."""
+        self._fill(self._occluders, indices if len(indices) else np.zeros(1, np.uint32))
 
     def _buffer(self) -> int:
         buffer = self._gl.create("glCreateBuffers")
@@ -118,6 +131,5 @@ class SceneMemory:
             self._gl.delete("glDeleteTextures", texture)
         for buffer in buffers:
             self._gl.delete("glDeleteBuffers", buffer)
-        if self.array:
-            self._gl.delete("glDeleteVertexArrays", self.array)
-            self.array = 0
+        while self._arrays:
+            self._gl.delete("glDeleteVertexArrays", self._arrays.pop())

@@ -60,6 +60,8 @@ class Target:
         self.framebuffer = 0
         self.color_framebuffer = 0
         """The same with nothing but its colours."""
+        self._depth_framebuffer = self._geometry_framebuffer = 0  # nothing but its depth; all but its colours
+        self._framebuffers: list[int] = []
         self._gl = GL.Gl(context)
         driver = context.device.renderer
         limit, most = self._gl.integer(GL.MAX_TEXTURE_SIZE), self._gl.integer(GL.MAX_SAMPLES)
@@ -76,21 +78,30 @@ class Target:
     def _create(self) -> None:
         gl = self._gl
         gl.glGetError()
-        self.framebuffer = gl.create("glCreateFramebuffers")
         for name in ("color", "depth", *self.features):
             self.textures[name] = self._texture(FORMATS[name])
-            point = GL.DEPTH_ATTACHMENT if name == "depth" else GL.COLOR_ATTACHMENT0 + ATTACHMENT[name]
-            gl.glNamedFramebufferTexture(self.framebuffer, point, self.textures[name], 0)
-        drawn = [GL.COLOR_ATTACHMENT0 + n if name in self.textures else 0 for name, n in ATTACHMENT.items()]
-        gl.glNamedFramebufferDrawBuffers(self.framebuffer, len(drawn), (ctypes.c_uint * len(drawn))(*drawn))
-        self.color_framebuffer = gl.create("glCreateFramebuffers")
-        gl.glNamedFramebufferTexture(self.color_framebuffer, GL.COLOR_ATTACHMENT0, self.textures["color"], 0)
+        self.framebuffer = self._framebuffer(*self.textures)
+        self.color_framebuffer = self._framebuffer("color")
+        self._depth_framebuffer = self._framebuffer("depth")
+        self._geometry_framebuffer = self._framebuffer("depth", *self.features)
         status = gl.glCheckNamedFramebufferStatus(self.framebuffer, GL.FRAMEBUFFER)
         if status != GL.FRAMEBUFFER_COMPLETE or gl.glGetError():
             raise RenderError(
                 f"the driver cannot draw an image of {self.width}x{self.height} pixels with {self.samples} samples "
                 f"(status 0x{status:x}); choose a smaller one"
             )
+
+    def _framebuffer(self, *names: str) -> int:
+        """Returns a framebuffer of some of the textures."""
+        gl = self._gl
+        framebuffer = gl.create("glCreateFramebuffers")
+        self._framebuffers.append(framebuffer)
+        for name in names:
+            point = GL.DEPTH_ATTACHMENT if name == "depth" else GL.COLOR_ATTACHMENT0 + ATTACHMENT[name]
+            gl.glNamedFramebufferTexture(framebuffer, point, self.textures[name], 0)
+        drawn = [GL.COLOR_ATTACHMENT0 + n if name in names else 0 for name, n in ATTACHMENT.items()]
+        gl.glNamedFramebufferDrawBuffers(framebuffer, len(drawn), (ctypes.c_uint * len(drawn))(*drawn))
+        return framebuffer
 
     def _texture(self, form: int) -> int:
         gl = self._gl
@@ -106,17 +117,23 @@ class Target:
             gl.glTextureParameteri(texture, name, GL.CLAMP_TO_EDGE)
         return texture
 
-    def use(self) -> None:
-        """Sends what is drawn from now on here; the viewport is all of it."""
-        self._gl.glBindFramebuffer(GL.FRAMEBUFFER, self.framebuffer)
+    def use(self, *, color: bool = True) -> None:
+        """Sends what is drawn from now on here, all of it but perhaps the colours; the viewport is all of it."""
+        self._use(self.framebuffer if color else self._geometry_framebuffer)
+
+    def use_depth(self) -> None:
+        """Sends what is drawn from now on here, of which nothing but the depth is kept; the viewport is all of it."""
+        self._use(self._depth_framebuffer)
+
+    def _use(self, framebuffer: int) -> None:
+        self._gl.glBindFramebuffer(GL.FRAMEBUFFER, framebuffer)
         self._gl.glViewport(0, 0, self.width, self.height)
 
     def close(self) -> None:
         """Frees it; a second call does nothing. The context must be current."""
-        for framebuffer in (self.framebuffer, self.color_framebuffer):
-            if framebuffer:
-                self._gl.delete("glDeleteFramebuffers", framebuffer)
-        self.framebuffer = self.color_framebuffer = 0
+        while self._framebuffers:
+            self._gl.delete("glDeleteFramebuffers", self._framebuffers.pop())
+        self.framebuffer = self.color_framebuffer = self._depth_framebuffer = self._geometry_framebuffer = 0
         for texture in self.textures.values():
             self._gl.delete("glDeleteTextures", texture)
         self.textures = {}

@@ -42,6 +42,7 @@ class Visibility:
         self._finest = np.flatnonzero(batches.chunk_group < 0)
         self._group_moves = bool((batches.group_link > 0).any())
         self._chunk_moves = bool((batches.chunk_link > 0).any())
+        self._link_box = _link_boxes(batches.chunk_link, batches.chunk_box)
 
     def choose(self, eyes: F64, detail: Detail) -> I64:
         """Returns the chunks, ascending, that stand for all triangles at a distance.
@@ -90,16 +91,18 @@ class Visibility:
             planes: (P, 4), optical frame: a point x is inside where ``planes @ (x, 1) >= 0`` for all.
             T_camera_links: (L + 1, 4, 4): optical frame from the world, then from each link.
         """
-        box = self._b.chunk_box[chunks]
-        centre, half = box[:, :3], box[:, 3:]
+        box, link = self._b.chunk_box[chunks], self._b.chunk_link[chunks]
+        p = planes @ T_camera_links[0]
         if not self._chunk_moves:
-            p = planes @ T_camera_links[0]
-            nearest = centre @ p[:, :3].T + p[:, 3] + half @ np.abs(p[:, :3]).T
-            return np.asarray((nearest >= 0.0).all(axis=1))
-        link = self._b.chunk_link[chunks]
-        p = np.einsum("pk,lkj->lpj", planes, T_camera_links)[link]
-        nearest = np.einsum("cpk,ck->cp", p[:, :, :3], centre) + p[:, :, 3] + np.einsum("cpk,ck->cp", np.abs(p[:, :, :3]), half)
-        return np.asarray((nearest >= 0.0).all(axis=1))
+            return _before(p, box)
+        # Few links are in the image: what belongs to the others need not be looked at.
+        of_links = planes @ T_camera_links[: len(self._link_box)]
+        near = _each_before(of_links, self._link_box)[link]
+        still, moving = np.flatnonzero(link == 0), np.flatnonzero(near & (link > 0))
+        inside = np.zeros(len(chunks), dtype=bool)
+        inside[still] = _before(p, box[still])
+        inside[moving] = _each_before(of_links[link[moving]], box[moving])
+        return inside
 
     def distances(self, chunks: I64, eyes: F64) -> F64:
         """Returns how far the box of each chunk is from the eye, (N,), metres."""
@@ -108,6 +111,29 @@ class Visibility:
         gap = np.maximum(np.abs(eye - box[:, :3]) - box[:, 3:], 0.0)
         distance: F64 = np.sqrt(np.einsum("ck,ck->c", gap, gap))
         return distance
+
+
+def _link_boxes(link: I64, box: F64) -> F64:
+    """Returns the box about all boxes of each link, (L + 1, 6), centre and half the size; those of links without any are nowhere."""
+    low, high = (np.full((int(link.max(initial=0)) + 1, 3), end) for end in (np.inf, -np.inf))
+    np.minimum.at(low, link, box[:, :3] - box[:, 3:])
+    np.maximum.at(high, link, box[:, :3] + box[:, 3:])
+    empty = low[:, 0] > high[:, 0]
+    low[empty], high[empty] = 0.0, 0.0
+    return np.hstack([(low + high) / 2, (high - low) / 2])
+
+
+def _before(planes: F64, boxes: F64) -> NDArray[np.bool_]:
+    """Returns which boxes, (N, 6), lie before all planes, (P, 4), or touch them, (N,)."""
+    nearest = boxes[:, :3] @ planes[:, :3].T + boxes[:, 3:] @ np.abs(planes[:, :3]).T + planes[:, 3]
+    return np.asarray((nearest >= 0.0).all(axis=1))
+
+
+def _each_before(planes: F64, boxes: F64) -> NDArray[np.bool_]:
+    """The same with planes of each box, (N, P, 4)."""
+    normals = planes[:, :, :3]
+    nearest = np.matmul(normals, boxes[:, :3, None]) + np.matmul(np.abs(normals), boxes[:, 3:, None])
+    return np.asarray((nearest[:, :, 0] + planes[:, :, 3] >= 0.0).all(axis=1))
 
 
 def link_frames(T_world_camera: Mat4, T_world_links: F64) -> tuple[F64, F64]:

@@ -1,0 +1,241 @@
+"""What to draw of one picture, and in which order. Pure numpy.
+
+The order is that of all chunks inside the image, whatever is left out of them later because something hides it: of two surfaces at the
+very same depth the one that is drawn first is seen, and which one that is must not depend on anything else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.geometry.projections import clip_from_optical, frustum_planes
+from gibson_sim.geometry.transforms import Mat4
+from gibson_sim.render.batches import Batches
+from gibson_sim.render.occlusion import Outlines, pixels_from_links
+from gibson_sim.render.pieces import Pieces
+from gibson_sim.render.visibility import Detail, Visibility, link_frames
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+U32 = NDArray[np.uint32]
+
+VIEW = np.dtype(
+    [("clip", "<f4", (4, 4)), ("clip_before", "<f4", (4, 4)), ("optical", "<f4", (4, 4)), ("eye", "<f4", 4), ("size", "<f4", 4), ("pad", "<f4", 8)]
+)  # fmt: skip
+"""``View`` of the shaders, matrices by columns, padded to the alignment of uniform buffers."""
+_NEAR_PART = 0.25
+"""Part of the triangles that count as the nearest ones."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """One pinhole picture to draw into a rectangle of a target."""
+
+    T_world_camera: Mat4
+    """Optical frame."""
+    intrinsics: F64
+    """K, (3, 3), pixels, pixel centres at whole numbers."""
+    width: int
+    """Pixels."""
+    height: int
+    near: float
+    """Metres."""
+    x: int = 0
+    """Left column in the target."""
+    y: int = 0
+    """Top row in the target."""
+    T_world_camera_before: Mat4 | None = None
+    """At the state before; for the flow."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Draws that follow each other and share their settings."""
+
+    batch: int
+    draws: int
+    translucent: bool
+    """Draw what shines through of them, instead of what is solid."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """What to draw of one picture."""
+
+    picture: Picture
+    T_camera_links: F64
+    """(L + 1, 4, 4): optical frame from the world, then from each link."""
+    chunks: I64
+    """(N,), in the order in which they are drawn: first what is solid of them, batch by batch, then what shines through, from far to near."""
+    draws: U32
+    """(N, 5), rows of ``draw_table``, of these chunks or of pieces of them."""
+    batch: I64
+    """(N,), batch of each."""
+    solid: int
+    """How many of the first ones are solid."""
+    near: I64
+    """The nearest chunks without holes, about a quarter of all."""
+    triangles: int
+    """Of all solid chunks inside the image, hidden or not."""
+
+    def runs(self, *, translucent: bool = True) -> list[Run]:
+        """Returns the draws by their settings; what shines through only if asked for."""
+        found: list[Run] = []
+        for first, end, through in ((0, self.solid, False), (self.solid, len(self.batch), True)):
+            if through and not translucent:
+                break
+            batch = self.batch[first:end]
+            if len(batch):
+                starts = [0, *(np.flatnonzero(batch[1:] != batch[:-1]) + 1).tolist()]
+                numbers = batch[starts].tolist()
+                found += [Run(k, e - s, through) for k, s, e in zip(numbers, starts, [*starts[1:], len(batch)], strict=True)]
+        return found
+
+    def only(self, keep: NDArray[np.bool_]) -> Plan:
+        """Returns the plan of some of the draws, (N,), in the same order."""
+        return replace(
+            self,
+            chunks=self.chunks[keep],
+            draws=self.draws[keep],
+            batch=self.batch[keep],
+            solid=int(np.count_nonzero(keep[: self.solid])),
+        )
+
+    def joined(self) -> Plan:
+        """Returns the plan with draws made one that follow each other in the indices, too, and differ in nothing else."""
+        if not len(self.draws):
+            return self
+        count, first, placement = self.draws[:, 0], self.draws[:, 2], self.draws[:, 4]
+        begins = np.ones(len(count), dtype=bool)
+        begins[1:] = (
+            (first[1:] != first[:-1] + count[:-1]) | (placement[1:] != placement[:-1]) | (self.batch[1:] != self.batch[:-1])
+        )
+        begins[self.solid : self.solid + 1] = True
+        starts = np.flatnonzero(begins)
+        draws = self.draws[starts]
+        draws[:, 0] = np.add.reduceat(count, starts)
+        return replace(
+            self,
+            chunks=self.chunks[starts],
+            draws=draws,
+            batch=self.batch[starts],
+            solid=int(np.searchsorted(starts, self.solid)),
+        )
+
+
+class Planner:
+    """Makes plans for one scene.
+
+    Args:
+        batches: of the scene.
+        visibility: of the same batches.
+        detail_px: how far, pixels, levels of detail may put a surface from where it is; 0 = always draw all triangles.
+        cull: leave out what is outside the image.
+    """
+
+    def __init__(self, batches: Batches, visibility: Visibility, detail_px: float, *, cull: bool) -> None:
+        self._b, self._visibility, self._detail_px, self._cull = batches, visibility, detail_px, cull
+        self._table, self._pieces = draw_table(batches, batches.chunk_first, batches.chunk_count), Pieces(batches)
+        kinds = [batch.kind for batch in batches.batches]
+        self._cut = np.array([kind != "opaque" for kind in kinds], dtype=bool)
+        self._has_solid, self._has_back = _what_shines_through(batches)
+
+    @property
+    def table(self) -> U32:
+        """(C, 5), as ``draw_table`` returns it."""
+        return self._table
+
+    def plan(self, picture: Picture, T_world_links: F64, view: NDArray[np.void]) -> Plan:
+        """Chooses what to draw of one picture, and fills its ``view``."""
+        T_camera_links, eyes = link_frames(picture.T_world_camera, T_world_links)
+        # The flip: optical y points down and clip y points up, so row 0 of the image comes first in OpenGL's bottom-up memory.
+        projection, planes = _lens(picture.intrinsics.tobytes(), picture.width, picture.height, picture.near)
+        before = picture.T_world_camera if picture.T_world_camera_before is None else picture.T_world_camera_before
+        view["clip"] = (projection @ T_camera_links[0]).T
+        still = before is picture.T_world_camera
+        view["clip_before"] = view["clip"] if still else (projection @ link_frames(before, T_world_links[:1])[0][0]).T
+        view["optical"][:3, :3] = picture.T_world_camera[:3, :3]  # transposed once to turn, once to be by columns
+        view["eye"][:3] = eyes[0]
+        view["size"][:3] = picture.width, picture.height, picture.near
+        focal = float(max(abs(picture.intrinsics[0, 0]), abs(picture.intrinsics[1, 1])))
+        chunks = self._visibility.choose(eyes, Detail(focal, self._detail_px, picture.near))
+        if self._cull:
+            chunks = chunks[self._visibility.inside(chunks, planes, T_camera_links)]
+        distance = self._visibility.distances(chunks, eyes)
+        return self._ordered(picture, T_camera_links, chunks[np.argsort(distance, kind="stable")])
+
+    def solid(self, chunks: I64) -> Plan:
+        """Returns a plan that draws what is solid of these chunks, for a picture of no camera."""
+        plan = self._ordered(Picture(np.eye(4), np.eye(3), 0, 0, 0.0), np.zeros((0, 4, 4)), chunks)
+        return plan.only(np.arange(len(plan.chunks)) < plan.solid)
+
+    def _ordered(self, picture: Picture, T_camera_links: F64, chunks: I64) -> Plan:
+        """Returns the plan for chunks that come the nearest first."""
+        batch = self._visibility.batch_of[chunks]
+        # The order of batches is that of their first chunk, but what has holes comes after what has none.
+        rank = np.zeros(len(self._cut), dtype=np.int64)
+        rank[batch[::-1]] = np.arange(len(chunks) - 1, -1, -1)  # of several numbers the last one stays: that of the first chunk
+        rank += len(chunks) * self._cut
+        order = np.argsort(rank[batch], kind="stable")
+        order = order[self._has_solid[chunks[order]]]
+        back = np.flatnonzero(self._has_back[chunks])[::-1]
+        every = np.concatenate([order, back])
+        triangles = np.cumsum(self._b.chunk_count[chunks], dtype=np.int64) // 3
+        total = int(triangles[-1]) if len(chunks) else 0
+        split = int(np.searchsorted(triangles, total * _NEAR_PART))
+        near = chunks[:split][~self._cut[batch[:split]]]
+        drawn = chunks[every]
+        return Plan(picture, T_camera_links, drawn, self._table[drawn], batch[every], len(order), near, total)
+
+    def pieces(self, plan: Plan) -> tuple[Plan, Outlines]:
+        """Returns the plan cut into smaller draws, and where each of them lies."""
+        place, box, span = self._pieces.of(plan.chunks)
+        draws = plan.draws[place]
+        draws[:, 0], draws[:, 2] = span[:, 0], span[:, 1]
+        chunks, p = plan.chunks[place], plan.picture
+        matrices = pixels_from_links(plan.T_camera_links, p.intrinsics)[self._b.chunk_link[chunks]]
+        first_back = int(np.searchsorted(place, plan.solid))
+        cut = replace(plan, chunks=chunks, draws=draws, batch=plan.batch[place], solid=first_back)
+        return cut, Outlines(box, matrices, (p.width, p.height), p.near)
+
+
+def draw_table(b: Batches, first: NDArray[Any], count: NDArray[Any]) -> U32:
+    """Returns the indirect draw of each chunk, (C, 5): indices, instances, first index, base vertex, base instance."""
+    table = np.zeros((len(first), 5), dtype=np.uint32)
+    table[:, 0], table[:, 1], table[:, 2], table[:, 4] = count, 1, first, b.chunk_placement
+    return table
+
+
+def _what_shines_through(b: Batches) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Returns of which chunks something may be solid, and through which of them something may shine, (C,) each."""
+    solid, back = np.ones(len(b.chunk_first), dtype=bool), np.zeros(len(b.chunk_first), dtype=bool)
+    for batch in b.batches:
+        if batch.kind == "blend":
+            chunks = slice(batch.first_chunk, batch.end_chunk)
+            back[chunks] = True
+            if batch.texture < 0:  # else each texel decides
+                solid[chunks], back[chunks] = _solidity(b, chunks)
+    return solid, back
+
+
+def _solidity(b: Batches, chunks: slice) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Returns of which chunks some material is solid, and of which some is not; they have no textures."""
+    count = b.chunk_count[chunks].astype(np.int64)
+    starts = np.cumsum(count) - count
+    rows = np.arange(int(count.sum())) + np.repeat(b.chunk_first[chunks] - starts, count)
+    placed = b.placements["material"][b.chunk_placement[chunks]]
+    material = b.materials[b.vertices["material"][b.indices[rows]] + np.repeat(placed, count)]
+    solid = material["color"][:, 3] >= material["surface"][:, 2]
+    return np.logical_or.reduceat(solid, starts), np.logical_or.reduceat(~solid, starts)
+
+
+@lru_cache(maxsize=256)
+def _lens(intrinsics: bytes, width: int, height: int, near: float) -> tuple[F64, F64]:
+    """Returns the projection, (4, 4), and the planes of the frustum, (5, 4), of K, the bytes of (3, 3) float64."""
+    k = np.frombuffer(intrinsics, dtype=np.float64).reshape(3, 3)
+    return clip_from_optical(k, width, height, near), frustum_planes(k, width, height, near)

@@ -1,0 +1,2 @@
+// Fills the depth and nothing else.
+void main() {}
