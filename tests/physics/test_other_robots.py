@@ -8,6 +8,8 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from gibson_sim.physics.world import PhysicsWorld
@@ -132,6 +134,30 @@ def test_gears_are_gone_with_their_body(make_scene: MakeScene) -> None:
         world.step(60)
         there = positions(world, "last")
         assert there["follow"] == pytest.approx(0.1 - 2 * there["lead"], abs=5e-3)
+
+
+def test_textures_of_collision_meshes_are_never_kept_by_the_engine(make_scene: MakeScene, tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "noise.png"), np.zeros((512, 512, 3), dtype=np.uint8))
+    (tmp_path / "m.mtl").write_text("newmtl m\nmap_Kd noise.png\n")
+    (tmp_path / "m.obj").write_text(
+        "mtllib m.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nvt 0 0\nusemtl m\nf 1/1 3/1 2/1\nf 1/1 2/1 4/1\nf 2/1 3/1 4/1\nf 3/1 1/1 4/1\n"
+    )
+    shape = '<collision><geometry><mesh filename="m.obj"/></geometry></collision>'
+    model = parse_urdf(f'<robot name="r"><link name="base">{shape}{INERTIAL}</link></robot>', tmp_path / "r.urdf")
+
+    def resident_kb() -> int:
+        return next(
+            int(line.split()[1]) for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS")
+        )
+
+    with PhysicsWorld(make_scene()) as world:
+        before = 0
+        for number in range(60):
+            world.add_body(BodySpec(f"one{number}", model))
+            world.remove(f"one{number}")
+            before = before or (resident_kb() if number == 20 else 0)
+        # A texture has 786 kB.
+        assert resident_kb() - before < 10 * 786
 
 
 def test_continuous_joints_of_an_arm_are_held(make_scene: MakeScene, tmp_path: Path) -> None:

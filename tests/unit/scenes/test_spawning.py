@@ -378,7 +378,9 @@ def test_model_of_more_than_500_links_is_refused() -> None:
 
 def test_model_of_more_joints_than_can_move_is_refused() -> None:
     links = "".join(f"<link name='l{i}'/>" for i in range(201))
-    ends = "".join(f"<joint name='j{i}' type='revolute'><parent link='l{i}'/><child link='l{i + 1}'/></joint>" for i in range(200))
+    ends = "".join(
+        f"<joint name='j{i}' type='revolute'><parent link='l{i}'/><child link='l{i + 1}'/></joint>" for i in range(200)
+    )
     error = _error(text=f"<robot name='snake'>{links}{ends}</robot>")
     assert error.code is CODES.RESOURCE_PARSE_ERROR
     assert "has 200 joints that move" in str(error)

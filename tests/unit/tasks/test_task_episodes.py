@@ -17,7 +17,7 @@ from gibson_sim.tasks.episode import Episode, Goal, Item, View, item_root, view_
 from gibson_sim.tasks.ground import Ground, footprint, ground_of
 from gibson_sim.tasks.metrics import Meter, episode_values, summary, touched_by, wilson
 from gibson_sim.tasks.observing import CLASSES, FARTHEST, SCAN_RANGE, Layout, full_state, own_state
-from gibson_sim.tasks.open_door import DOOR, JAMBS, WALL_X, opening
+from gibson_sim.tasks.open_door import JAMBS, WALL_X
 from gibson_sim.tasks.registry import TASKS, check_baseline, task_of
 from gibson_sim.types import Contact, Pose, SceneState
 
@@ -208,12 +208,6 @@ def test_doors_hang_in_the_doorway_and_open_towards_the_robot(arena: Ground) -> 
         assert sign * -math.sin(yaw) * before > 0.9
         sides.add((before, door.model))
     assert len(sides) == 4
-
-
-def test_the_opening_of_a_door_is_the_angle_between_leaf_and_frame() -> None:
-    links = {f"{DOOR}/world": pose_from_xyz_rpy((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))}
-    links[f"{DOOR}/leaf"] = pose_from_xyz_rpy((0.0, 0.0, 0.0), (0.0, 0.0, 1.0 - 1.2))
-    assert opening(View(0.0, links, BASE)) == pytest.approx(1.2)
 
 
 def test_an_arm_is_told_where_to_be_next_and_the_hand_to_close() -> None:

@@ -22,7 +22,7 @@ from gibson_sim.errors import RecordError
 MAX_RESTARTS = 3
 USER_ERROR = 1
 """Exit code of a node whose settings, scene or machine is at fault: starting it again would not help."""
-ENDS_THE_JOB = ("physics", "drive", "snapshot", "replay")
+ENDS_THE_JOB = ("physics", "drive", "snapshot", "replay", "task")
 """Nodes after whose end nothing is left to do."""
 STATE_TOPIC, ROBOTS, CAMERAS = "scene_state", "robots", "cameras"
 """What physics waits for readers of, before time begins."""

@@ -12,8 +12,8 @@ from gibson_sim.errors import AlreadyRunningError, GibsonSimError
 
 MODULE_OF = {
     "run": "run", "drive": "clients", "record": "clients", "snapshot": "clients", "bag": "bag", "bench": "bench", "compare": "compare",
-    "doctor": "doctor", "env": "env", "export": "export", "gallery": "gallery", "params": "params", "render": "render", "replay": "replay",
-    "scene": "scene", "task": "task", "top": "top",
+    "demo": "demo", "doctor": "doctor", "env": "env", "export": "export", "gallery": "gallery", "params": "params", "render": "render",
+    "replay": "replay", "scene": "scene", "task": "task", "top": "top",
 }  # fmt: skip
 """Sub-command -> module of this package that has it. Only that module is loaded: a launcher needs neither PyBullet nor OpenGL."""
 EPILOG = f"""\

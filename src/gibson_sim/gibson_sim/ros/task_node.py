@@ -103,7 +103,7 @@ class TaskNode(Node):
         self._executor = make_executor()
         self._executor.add_node(self)
         drives = config.baseline != "none"
-        self._lockstep = LockstepParticipant(self, after=names.SCENE_STATE) if drives else None
+        self._lockstep = LockstepParticipant(self) if drives else None
 
     def _subscribe(self) -> None:
         self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)

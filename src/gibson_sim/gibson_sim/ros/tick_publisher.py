@@ -150,7 +150,7 @@ class TickPublisher:
 
     def _topics_of_tick(self, due: tuple[CameraSpec, ...], measured: _Measured) -> set[str]:
         """Returns what was, and will be, published at a tick; without leading slashes."""
-        topics = {CAMERAS} if due else set()
+        topics = {names.SCENE_STATE, CAMERAS} if due else {names.SCENE_STATE}
         for camera in due:
             found = names.camera_topics(camera.name)
             topics.update(found[output] for output in camera.outputs)

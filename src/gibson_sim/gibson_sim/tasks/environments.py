@@ -5,6 +5,7 @@ The only file that imports Gymnasium, which is optional: ``pip install gibson_si
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import gymnasium
@@ -113,7 +114,7 @@ class TaskEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         return self._observe(), {"seed": run.episode.seed, "goal": run.episode.goal.text}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Obeys an action for one period of control; info has the metrics of the episode until now."""
+        """Obeys an action for one period of control; info has the metrics of the episode until now, SPL where the task has one."""
         run = self._running()
         before = run.remaining
         run.step(self._controls.action(action, run.view))
@@ -123,11 +124,15 @@ class TaskEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         reward = nearer + STEP_REWARD + COLLISION_REWARD * bumped + SUCCESS_REWARD * run.succeeded
         info = {
             "success": metrics.success,
-            "spl": metrics.spl,
             "path_length": metrics.path_length,
             "collisions": metrics.collisions,
+            "pushed": metrics.pushed,
+            "goal_distance": metrics.goal_distance,
+            "time": metrics.time,
         }
-        info |= {"pushed": metrics.pushed, "goal_distance": metrics.goal_distance, "time": metrics.time}
+        # NaN does not equal itself: the check of Gymnasium, which compares two runs, would not pass.
+        if not math.isnan(metrics.spl):
+            info["spl"] = metrics.spl
         return self._observe(), float(reward), run.succeeded, run.over and not run.succeeded, info
 
     def render(self) -> NDArray[np.uint8] | None:

@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 
+import numpy as np
+
 from gibson_sim.geometry.transforms import matrix_from_quat, yaw_from_quat
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.scenes.spawning import load_spawnable
@@ -20,9 +22,11 @@ class Item:
     name: str
     """Letters, digits and ``_``; unique in the scene."""
     model: str
-    """Name of an object of ours, see docs/objects.md."""
+    """Name of an object of ours, see docs/objects.md, or path of a URDF."""
     pose: Pose
     """T_world_root at the begin."""
+    text: str = ""
+    """URDF that is loaded in place of the model's; empty = the model as it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +59,8 @@ class Episode:
     """Metres that the robot has to go at least; NaN = that says nothing about the task."""
     time_limit: float
     """Seconds of simulation time."""
+    removed: tuple[str, ...] = ()
+    """Names of bodies of the scene that are not there meanwhile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +81,8 @@ class View:
     """Joints of the robot that are not of its drive, radians or metres."""
     held: str = ""
     """Name of what the robot's hand holds; empty = nothing."""
+    speeds: Mapping[str, float] = field(default_factory=dict)
+    """Of the origins of ``links``, m/s."""
 
     @property
     def base(self) -> Pose:
@@ -147,12 +155,13 @@ def view_of(
         angular=float(state.twists[row, 5]),
         joints=joints or {},
         held=held,
+        speeds=dict(zip(state.links, np.linalg.norm(state.twists[:, :3], axis=1).tolist(), strict=True)),
     )
 
 
 @lru_cache(maxsize=256)
-def _model_body(model: str) -> BodySpec:
-    body = load_spawnable(model, "", name=model, pose=Pose())
+def _model_body(model: str, text: str = "") -> BodySpec:
+    body = load_spawnable("" if text else model, text, name=model, pose=Pose())
     assert isinstance(body, BodySpec), model
     return body
 
@@ -163,10 +172,10 @@ def item_body(item: Item) -> BodySpec:
     Raises:
         SpawnError: there is no such object.
     """
-    body = _model_body(item.model)
+    body = _model_body(item.model, item.text)
     return BodySpec(item.name, body.model, item.pose, body.static, body.semantic_class, body.joints)
 
 
 def item_root(item: Item) -> str:
     """Returns the whole name of an item's root link, ``<name>/<link>``."""
-    return f"{item.name}/{_model_body(item.model).model.root}"
+    return f"{item.name}/{_model_body(item.model, item.text).model.root}"

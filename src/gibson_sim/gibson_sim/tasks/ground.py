@@ -69,16 +69,17 @@ class Ground:
     def planner_around(self, footprints: Iterable[F64]) -> PathPlanner:
         """Returns ways that also go round things, given as the corners (4, 2) of their outlines, world metres."""
         polygons = list(footprints)
-        return PathPlanner(self._with(polygons), self.reach) if polygons else self.planner
+        return PathPlanner(self.floor_with(polygons), self.reach) if polygons else self.planner
 
     def connected(self, start: tuple[float, float], goal: tuple[float, float], footprints: Iterable[F64]) -> bool:
         """Returns whether a way leads from one place to another round things; the quick question, without the way."""
-        floor = self._with(list(footprints))
+        floor = self.floor_with(list(footprints))
         labels, _ = ndimage.label(floor.free & (floor.distance_to_obstacle >= self.reach), structure=np.ones((3, 3)))
         a, b = (int(labels[tuple(floor.cells(place))]) for place in (start, goal))
         return a == b != 0
 
-    def _with(self, footprints: list[F64]) -> FloorMap:
+    def floor_with(self, footprints: list[F64]) -> FloorMap:
+        """Returns the floor with things on it, given as the corners (4, 2) of their outlines, world metres; at least one."""
         grid = Grid(self.floor.resolution, self.floor.origin, self.floor.shape)
         return replace(self.floor, occupied=self.floor.occupied | grid.cover(np.stack(footprints)))
 

@@ -9,7 +9,6 @@ from types import TracebackType
 from gibson_sim.errors import ConfigError
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.joint_commands import JointPositions
-from gibson_sim.scenes.load import with_robots
 from gibson_sim.tasks.controls import finger_joints
 from gibson_sim.tasks.episode import Action, Episode, View, item_body, view_of
 from gibson_sim.tasks.ground import Ground, ground_of
@@ -46,7 +45,7 @@ class TaskRun:
         self.ground: Ground = ground_of(scene or task.scene, robot or task.robot)
         self._substeps = step_hz // control_hz
         self.robot = self.ground.robot
-        self.world = PhysicsWorld(with_robots(self.ground.scene, [self.robot]), step_hz=step_hz, cmd_vel_timeout=1.0)
+        self.world = PhysicsWorld(self.ground.scene, step_hz=step_hz, cmd_vel_timeout=1.0)
         self._episode: Episode | None = None
         self._begin_ns = 0
 
@@ -69,7 +68,8 @@ class TaskRun:
         for name in world.names:
             world.remove(name)
         world.add_robot(replace(self.robot, start=episode.start))
-        for body in (*self.ground.scene.bodies, *(item_body(item) for item in episode.items)):
+        own = (body for body in self.ground.scene.bodies if body.name not in episode.removed)
+        for body in (*own, *(item_body(item) for item in episode.items)):
             world.add_body(body)
         world.set_step_count(0)
         world.step(round(SETTLE_S * world.step_hz))
