@@ -101,3 +101,34 @@ def test_what_is_put_down_on_a_sleeper_wakes_it_alone() -> None:
         world.step(60)
         assert world.body_pose("a").position[0] < -0.02
         assert asleep(world, ["far"])
+
+
+def test_states_follow_sleepers_that_are_pushed_thrown_moved_and_left_without_support(omni: RobotSpec) -> None:
+    tower = [box(f"tower{k}", 1.0, 0.0, 0.1 + 0.2 * k) for k in range(3)]
+    bodies = [
+        *tower,
+        *(box(f"box{k}", 1.5 + 0.21 * k, 0.0, 0.1) for k in range(4)),
+        box("shelf", -2.0, 0.0, 0.1),
+        box("vase", -2.0, 0.0, 0.3),
+    ]
+    with world_of(*bodies, robots=(omni,)) as world:
+        moved: set[str] = set()
+        for step in range(1, 1500):
+            if step > ASLEEP:
+                world.command("robot", VelocityCommand((0.4, 0.0, 0.0), (0.0, 0.0, 0.0), world.stamp_ns))
+            if step == 900:
+                world.remove("shelf")
+                moved.add("shelf")
+            if step == 1000:
+                world.set_state("box3", pose=Pose((0.0, 3.0, 0.5)))
+            if step == 1300:
+                world.step(600)
+            world.step(4 if step % 2 else 1)
+            state = world.state()
+            for name in set(world.names) - {"robot"} if step % 3 == 0 else ():
+                row, pose = state.links.index(f"{name}/body"), world.body_pose(name)
+                assert state.positions[row].tolist() == pytest.approx(pose.position, abs=1e-12)
+                assert state.quats_xyzw[row].tolist() == pytest.approx(pose.quat_xyzw, abs=1e-12)
+                if step > ASLEEP and state.twists[row].any():
+                    moved.add(name)
+        assert moved == {body.name for body in bodies}, "all of them woke"

@@ -346,18 +346,21 @@ class Bullet:
             parts += p.getBasePositionAndOrientation(body.uid, client)
             parts += p.getBaseVelocity(body.uid, client)
             if body.link_count:
-                # The last two: with velocities, with the kinematics computed anew.
                 for state in p.getLinkStates(body.uid, body.link_indices, 1, 1, client):
-                    # 0, 1: pose of the centre of mass; 6, 7: its velocities. The link frames at 4 and 5 are rounded to 32 bits.
+                    # 0, 1: centre of mass; 6, 7: its velocities, for which the first 1 asks. The frames at 4, 5 have 32 bits only.
                     parts += state[0], state[1], state[6], state[7]
         return np.fromiter(chain.from_iterable(parts), np.float64).reshape(-1, 13)
+
+    def still(self, bodies: Sequence[BulletBody]) -> list[bool]:
+        """Returns of each whether its root stands perfectly still, as only what sleeps does."""
+        client = self.client
+        return [not any(map(any, p.getBaseVelocity(body.uid, client))) for body in bodies]
 
     def raw_root(self, body: BulletBody) -> tuple[float, ...]:
         """Returns the first of ``raw_states``."""
         client = self.client
-        position, quat = p.getBasePositionAndOrientation(body.uid, client)
-        linear, angular = p.getBaseVelocity(body.uid, client)
-        return (*position, *quat, *linear, *angular)
+        parts = *p.getBasePositionAndOrientation(body.uid, client), *p.getBaseVelocity(body.uid, client)
+        return tuple(chain.from_iterable(parts))
 
     def joint_reading(self, body: BulletBody, indices: Sequence[int]) -> JointReading:
         """Returns positions, velocities and motor efforts of the joints."""

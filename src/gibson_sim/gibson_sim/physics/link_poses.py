@@ -1,14 +1,24 @@
-"""Where the links of all bodies are: read from the engine once for each state that anybody asks for."""
+"""Where the links of all bodies are: read from the engine once for each state that anybody asks for.
+
+A body without joints that sleeps is not read again: what stands perfectly still now, and did at the read before, lies where it lay.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from gibson_sim.geometry.transforms import turned
 from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
-from gibson_sim.physics.frames import FrameTable
+from gibson_sim.physics.frames import F64, FrameTable
 from gibson_sim.types import Pose, SceneState, Vec3
+
+_LOOK_AGAIN = 16
+"""After so many reads, all bodies are read, and with them who has fallen asleep."""
+_NAP_S = 1.0
+"""Nobody wakes, moves and falls asleep again in less simulation time: Bullet waits for 2 s."""
 
 
 class LinkPoses:
@@ -18,42 +28,101 @@ class LinkPoses:
         self._bullet = bullet
         self._bodies: tuple[BodyInWorld, ...] = ()
         self._state: SceneState | None = None
-        self._table: FrameTable | None = None
-        """Of all bodies together; None = they changed."""
         self.links: tuple[str, ...] = ()
         """Names ``<body>/<link>`` of all links, body by body, the roots first."""
+        self._last: SceneState | None = None
+        """What was read last; None = anything may be elsewhere since."""
+        self._reads, self._unread_s = 0, 0.0
+        self._all: _Selection | None = None
+        """All bodies; None = they changed."""
+        self._asleep: list[int] = []
+        """Numbers of bodies that sleep, and were read when they did."""
+        self._awake: _Selection | None = None
+        """All others; None = nobody sleeps."""
 
     def change_bodies(self, bodies: tuple[BodyInWorld, ...], new_links: tuple[str, ...] = ()) -> None:
         """Takes up other bodies; ``new_links`` are those of a body that came last, so that thousands come quickly."""
         self._bodies = bodies
         self.links = self.links + new_links if new_links else tuple(link for one in bodies for link in one.full_links)
-        self._state = self._table = None
+        self._all = None
+        self.forget()
+
+    def pass_time(self, seconds: float) -> None:
+        """Call it when steps were made."""
+        self._state = None
+        self._unread_s += seconds
 
     def forget(self) -> None:
-        """Call it when something moved, or time did."""
-        self._state = None
+        """Call it when something was put elsewhere."""
+        self._state = self._last = None
 
     def state(self, stamp_ns: int, step: int, revision: int) -> SceneState:
         """Returns the poses of all links now; its arrays are read-only and stay as they are."""
         if self._state is None:
-            if self._table is None:
-                self._table = FrameTable.joined([body.table for body in self._bodies])
-            self._state = self._read(self._bodies, self._table, self.links, stamp_ns, step, revision)
+            arrays = self._read()
+            for array in arrays:
+                array.setflags(write=False)
+            self._state = self._last = SceneState(stamp_ns, step, revision, self.links, *arrays)
         return self._state
 
     def state_of(self, one: BodyInWorld, stamp_ns: int, step: int, revision: int) -> SceneState:
         """Returns the poses of at least the links of one body now."""
         if self._state is not None:
             return self._state
-        return self._read((one,), one.table, one.full_links, stamp_ns, step, revision)
+        return SceneState(stamp_ns, step, revision, one.full_links, *one.table.links(self._bullet.raw_states(one.body)))
 
-    def _read(
-        self, bodies: Sequence[BodyInWorld], table: FrameTable, links: tuple[str, ...], stamp_ns: int, step: int, revision: int
-    ) -> SceneState:
-        positions, quats, twists = table.links(self._bullet.raw_states(*(body.body for body in bodies)))
-        for array in (positions, quats, twists):
-            array.setflags(write=False)
-        return SceneState(stamp_ns, step, revision, links, positions, quats, twists)
+    def _read(self) -> tuple[F64, F64, F64]:
+        """Returns positions, quaternions and twists of all links."""
+        before, self._reads = self._last, self._reads + 1
+        passed, self._unread_s = self._unread_s, 0.0
+        if self._all is None:
+            self._all = _Selection(self._bodies, range(len(self._bodies)))
+        if before is None or passed > _NAP_S or self._reads % _LOOK_AGAIN == 0:
+            found = self._all.links(self._bullet)
+            self._sleep([] if before is None or not passed else self._still(before, found))
+            return found
+        still = self._bullet.still([self._bodies[i].body for i in self._asleep])
+        if not all(still):
+            self._sleep([i for i, is_still in zip(self._asleep, still, strict=True) if is_still])
+        if self._awake is None:
+            return self._all.links(self._bullet)
+        positions, quats, twists = before.positions.copy(), before.quats_xyzw.copy(), before.twists.copy()
+        rows = self._awake.rows
+        positions[rows], quats[rows], twists[rows] = self._awake.links(self._bullet)
+        return positions, quats, twists
+
+    def _sleep(self, asleep: list[int]) -> None:
+        """Takes note of who sleeps."""
+        if asleep != self._asleep or not asleep:
+            self._asleep = asleep
+            others = [i for i in range(len(self._bodies)) if i not in asleep]
+            self._awake = _Selection(self._bodies, others) if asleep else None
+
+    def _still(self, before: SceneState, found: tuple[F64, F64, F64]) -> list[int]:
+        """Returns the numbers of bodies without joints that stood perfectly still at both reads, and where they were."""
+        positions, quats, twists = found
+        still = (before.positions == positions).all(axis=1) & (before.quats_xyzw == quats).all(axis=1) & ~twists.any(axis=1)
+        assert self._all is not None, "it was read just now"
+        ones = zip(self._bodies, self._all.first_rows, strict=True)
+        return [i for i, (one, row) in enumerate(ones) if not one.body.link_count and still[row]]
+
+
+class _Selection:
+    """Some of the bodies of a world, read together."""
+
+    def __init__(self, bodies: Sequence[BodyInWorld], chosen: Sequence[int]) -> None:
+        """Chooses bodies by their numbers."""
+        ends = np.cumsum([0, *(len(one.links) for one in bodies)]).tolist()
+        self.first_rows = ends[:-1]
+        """Row of each body's root among all links, of all bodies."""
+        self.rows = np.array([row for i in chosen for row in range(ends[i], ends[i + 1])], dtype=np.intp)
+        """Rows of the links of those that were chosen."""
+        self._bodies = tuple(bodies[i] for i in chosen)
+        self._table = FrameTable.joined([one.table for one in self._bodies])
+
+    def links(self, bullet: Bullet) -> tuple[F64, F64, F64]:
+        """Returns positions, quaternions and twists of the links of those that were chosen."""
+        return self._table.links(bullet.raw_states(*(one.body for one in self._bodies)))
 
 
 def link_pose(state: SceneState, link: str) -> Pose:

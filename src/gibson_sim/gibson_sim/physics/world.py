@@ -254,7 +254,7 @@ class PhysicsWorld(ArmCommands):
         dt = 1.0 / self.step_hz
         bullet = self._bullet
         robots, commanded = tuple(self._robots.values()), tuple(self._commanded.values())
-        self._poses.forget()
+        self._poses.pass_time(steps * dt)
         for _ in range(steps):
             now_ns = self.stamp_ns
             self._arms.before_step(now_ns, round(dt * NS_PER_S))
