@@ -24,9 +24,9 @@ _TITLES = {
     "scaling": "How cost grows",
     "soak": "Long runs",
 }
+"""Of the kinds of reports, in the order of the page."""
 BEGIN, END = "<!-- figures: begin -->", "<!-- figures: end -->"
 """Between these lines of the page stands what is made here; what people write around them stays."""
-"""Of the kinds of reports, in the order of the page."""
 
 
 def write_page(data: Path, output: Path, images: Path) -> list[str]:
@@ -139,7 +139,7 @@ def summary(tables: list[Table1]) -> list[str]:
         lines += [
             _sentence(way, [row for row in rows if row.way == way and row.substeps]) for way in (IN_PROCESS, LOCKSTEP, FREE)
         ]
-        found.append("\n".join(line for line in (lines[0], "", lines[1], "", *lines[2:]) if line is not None))
+        found.append("\n".join((lines[0], "", lines[1], "", *lines[2:])))
     return found
 
 

@@ -59,17 +59,15 @@ class LinkPoses:
     def state(self, stamp_ns: int, step: int, revision: int) -> SceneState:
         """Returns the poses of all links now; its arrays are read-only and stay as they are."""
         if self._state is None:
-            arrays = self._read()
-            for array in arrays:
-                array.setflags(write=False)
-            self._state = self._last = SceneState(stamp_ns, step, revision, self.links, *arrays)
+            self._state = self._last = SceneState(stamp_ns, step, revision, self.links, *_read_only(self._read()))
         return self._state
 
     def state_of(self, one: BodyInWorld, stamp_ns: int, step: int, revision: int) -> SceneState:
         """Returns the poses of at least the links of one body now."""
         if self._state is not None:
             return self._state
-        return SceneState(stamp_ns, step, revision, one.full_links, *one.table.links(self._bullet.raw_states(one.body)))
+        arrays = one.table.links(self._bullet.raw_states(one.body))
+        return SceneState(stamp_ns, step, revision, one.full_links, *_read_only(arrays))
 
     def _read(self) -> tuple[F64, F64, F64]:
         """Returns positions, quaternions and twists of all links."""
@@ -105,6 +103,12 @@ class LinkPoses:
         assert self._all is not None, "it was read just now"
         ones = zip(self._bodies, self._all.first_rows, strict=True)
         return [i for i, (one, row) in enumerate(ones) if not one.body.link_count and still[row]]
+
+
+def _read_only(arrays: tuple[F64, F64, F64]) -> tuple[F64, F64, F64]:
+    for array in arrays:
+        array.setflags(write=False)
+    return arrays
 
 
 class _Selection:

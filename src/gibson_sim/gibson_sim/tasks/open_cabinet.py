@@ -44,7 +44,7 @@ _BEFORE = {True: 0.75, False: 0.98}
 """Metres from the base to the handle where the hand takes it, of drawers and of doors."""
 _SHORT = {True: 0.014, False: 0.045}
 """Metres from the middle of a bar to the tool: the finger tips are 3 cm ahead of it, a drawer's front 2.4 cm behind the bar. A door turns
-against the so that its bar must not be between the fingers.
+against the hand, so that its bar must not be between the fingers.
 """
 _PULLED = {True: 0.29, False: math.radians(85.0)}
 """How far a script opens."""
