@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from gibson_sim.cli import (
     bench_tasks,
     bench_tensors,
 )
-from gibson_sim.cli.report_file import add_report_options, parse_size, write_json
+from gibson_sim.cli.report_file import add_report_options, parse_device, parse_size, tell, write_json
 from gibson_sim.config import DETAIL_PX
 from gibson_sim.errors import ConfigError
 from gibson_sim.types import OUTPUTS
@@ -79,7 +78,7 @@ def run_render(args: argparse.Namespace) -> int:
     from gibson_sim.bench.render import measure
     from gibson_sim.bench.render_report import report_text
 
-    report = measure(plan, tell=lambda line: print(line, file=sys.stderr, flush=True))
+    report = measure(plan, tell=tell)
     print(report_text(report, markdown=args.markdown, show_growth=args.growth))
     write_json(args.json, report.as_json())
     return 0
@@ -95,7 +94,7 @@ def plan_of(args: argparse.Namespace) -> Any:
 
     if args.frames < 1:
         raise ConfigError(f"--frames is {args.frames}, must be 1 or more")
-    device = int(args.device) if args.device is not None and args.device.isdigit() else args.device
+    device = parse_device(args.device)
     return Plan(
         scenes=tuple(_words(args.scenes)),
         sizes=tuple(parse_size(text) for text in _words(args.sizes)),

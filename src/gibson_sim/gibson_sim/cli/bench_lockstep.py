@@ -17,7 +17,7 @@ from gibson_sim.bench.ros import Size, Spread
 from gibson_sim.cli.bench_processes import CAMERA, BenchError, answer, process, write_robot
 from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.quiet import quiet
-from gibson_sim.cli.report_file import add_report_options, write_json
+from gibson_sim.cli.report_file import add_report_options, tell, write_json
 from gibson_sim.cli.shared_memory import remove_dead_segments
 
 START_S = 90.0
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     plan = LockstepPlan.quick() if args.quick else LockstepPlan()
     if args.scene:
         plan = replace(plan, scene=args.scene)
-    report = measure(plan, domain_id=args.domain_id, tell=lambda line: print(line, file=sys.stderr, flush=True))
+    report = measure(plan, domain_id=args.domain_id, tell=tell)
     print(report_text(report, markdown=args.markdown))
     write_json(args.json, report.as_json())
     return 0

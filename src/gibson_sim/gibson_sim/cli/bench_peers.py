@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any
 
 from gibson_sim.bench.protocol import HOUSES
-from gibson_sim.cli.report_file import add_report_options, parse_size, write_json
+from gibson_sim.cli.report_file import add_report_options, parse_size, tell, write_json
 
 
 def add_parser(kinds: Any) -> None:
@@ -41,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
     from gibson_sim.bench.render import ABSENT, measure
     from gibson_sim.bench.render_report import report_text
 
-    report = measure(plan_of(args), tell=lambda line: print(line, file=sys.stderr, flush=True))
+    report = measure(plan_of(args), tell=tell)
     print(report_text(report, markdown=args.markdown))
     print("".join(f"\nNot here: {name}: {why}." for name, why in ABSENT))
     write_json(args.json, {**report.as_json(), "kind": "peers", "absent": dict(ABSENT)})

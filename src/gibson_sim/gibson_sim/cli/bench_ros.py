@@ -29,9 +29,8 @@ from gibson_sim.bench.ros_report import report_text
 from gibson_sim.cli.bench_processes import CAMERA, BenchError, answer, process, role, write_robot
 from gibson_sim.cli.environment import RMW, domain_of, node_environment, require_nodes
 from gibson_sim.cli.processes import DomainLock
-from gibson_sim.cli.report_file import add_report_options, write_json
+from gibson_sim.cli.report_file import add_report_options, chosen, tell, write_json
 from gibson_sim.cli.shared_memory import remove_dead_segments
-from gibson_sim.errors import ConfigError
 
 START_S = 90.0
 """Within so long a simulation has loaded its scene."""
@@ -56,7 +55,7 @@ def add_parser(kinds: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Prints the tables, and writes the JSON file if one is named."""
     require_nodes()
-    report = measure(plan_of(args), domain_id=args.domain_id, tell=lambda line: print(line, file=sys.stderr, flush=True))
+    report = measure(plan_of(args), domain_id=args.domain_id, tell=tell)
     print(report_text(report, markdown=args.markdown))
     write_json(args.json, report.as_json())
     return 0
@@ -68,10 +67,7 @@ def plan_of(args: argparse.Namespace) -> Plan:
     Raises:
         ConfigError: one of them cannot be read.
     """
-    parts = tuple(part for part in args.only.split(",") if part) or PARTS
-    unknown = [part for part in parts if part not in PARTS]
-    if unknown:
-        raise ConfigError(f"--only: {', '.join(unknown)} must be of {', '.join(PARTS)}")
+    parts = chosen(args.only, PARTS)
     plan = Plan.quick(parts) if args.quick else Plan(parts)
     return replace(plan, scene=args.scene) if args.scene else plan
 

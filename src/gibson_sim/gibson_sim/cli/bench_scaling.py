@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from typing import Any
 
 from gibson_sim.cli.quiet import quiet
-from gibson_sim.cli.report_file import add_report_options, write_json
+from gibson_sim.cli.report_file import add_report_options, tell, write_json
 
 
 def add_parser(kinds: Any) -> None:
@@ -29,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     from gibson_sim.bench.scaling import kinds_of, measure
     from gibson_sim.bench.scaling_report import report_text
 
-    report = measure(kinds_of(args.only), quick=args.quick, tell=lambda line: print(line, file=sys.stderr, flush=True))
+    report = measure(kinds_of(args.only), quick=args.quick, tell=tell)
     print(report_text(report, markdown=args.markdown))
     write_json(args.json, report.as_json())
     return 0

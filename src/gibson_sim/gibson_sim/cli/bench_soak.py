@@ -14,7 +14,7 @@ from typing import Any
 from gibson_sim.cli.bench_processes import CAMERA, answer, process
 from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.quiet import quiet
-from gibson_sim.cli.report_file import add_report_options, write_json
+from gibson_sim.cli.report_file import add_report_options, tell, write_json
 from gibson_sim.cli.shared_memory import remove_dead_segments
 from gibson_sim.resources import cache_folder
 
@@ -47,9 +47,6 @@ def run(args: argparse.Namespace) -> int:
     from gibson_sim.bench import timing
     from gibson_sim.bench.soak import Samples, SoakReport, environment_steps
     from gibson_sim.bench.soak_report import report_text
-
-    def tell(line: str) -> None:
-        print(line, file=sys.stderr, flush=True)
 
     steps, seconds = (2_000, 60.0) if args.quick else (args.steps, args.seconds)
     if seconds > 0:

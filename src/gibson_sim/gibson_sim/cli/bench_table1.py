@@ -17,9 +17,8 @@ from gibson_sim.bench.table1_report import report_text
 from gibson_sim.cli.bench_processes import CAMERA, BenchError, answer, process, role
 from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.quiet import quiet
-from gibson_sim.cli.report_file import add_report_options, write_json
+from gibson_sim.cli.report_file import add_report_options, chosen, parse_device, tell, write_json
 from gibson_sim.cli.shared_memory import remove_dead_segments
-from gibson_sim.errors import ConfigError
 from gibson_sim.types import OUTPUTS
 
 START_S = 120.0
@@ -62,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     plan = plan_of(args)
     if {LOCKSTEP, FREE} & set(plan.ways):
         require_nodes()
-    report = measure(plan, domain_id=args.domain_id, tell=lambda line: print(line, file=sys.stderr, flush=True))
+    report = measure(plan, domain_id=args.domain_id, tell=tell)
     print(report_text(report, markdown=args.markdown))
     write_json(args.json, report.as_json())
     return 0
@@ -74,12 +73,8 @@ def plan_of(args: argparse.Namespace) -> Plan:
     Raises:
         ConfigError: one of them cannot be read.
     """
-    ways = tuple(way for way in args.only.split(",") if way) or WAYS
-    unknown = [way for way in ways if way not in WAYS]
-    if unknown:
-        raise ConfigError(f"--only: {', '.join(unknown)} must be of {', '.join(WAYS)}")
-    plan = replace(Plan.quick() if args.quick else Plan(), ways=ways)
-    device = int(args.device) if args.device is not None and args.device.isdigit() else args.device
+    plan = replace(Plan.quick() if args.quick else Plan(), ways=chosen(args.only, WAYS))
+    device = parse_device(args.device)
     return replace(plan, scene=args.scene or plan.scene, houses=tuple(args.house) or plan.houses, device=device)
 
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from typing import Any
 
 from gibson_sim.cli.quiet import quiet
-from gibson_sim.cli.report_file import add_report_options, write_json
+from gibson_sim.cli.report_file import add_report_options, tell, write_json
 
 
 def add_parser(kinds: Any) -> None:
@@ -47,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
         size=args.size,
         loose_scene="" if args.loose_scene == "none" else args.loose_scene,
     )
-    report = measure(plan, tell=lambda line: print(line, file=sys.stderr, flush=True))
+    report = measure(plan, tell=tell)
     print(report_text(report, markdown=args.markdown))
     write_json(args.json, report.as_json())
     return 0

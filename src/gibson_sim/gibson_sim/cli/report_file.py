@@ -1,9 +1,11 @@
-"""The JSON file of a measurement."""
+"""What the commands that measure share: the JSON file, what they say meanwhile, and options that several of them have."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -34,3 +36,26 @@ def parse_size(text: str) -> tuple[int, int]:
     if not (width.isdigit() and height.isdigit()):
         raise ConfigError(f"--sizes: {text!r} is no size of an image; write 640x480")
     return int(width), int(height)
+
+
+def parse_device(text: str | None) -> int | str | None:
+    """Returns what ``--device`` names: the number of an EGL device, or a part of its name."""
+    return int(text) if text is not None and text.isdigit() else text
+
+
+def chosen(text: str, known: Collection[str]) -> tuple[str, ...]:
+    """Returns the names in ``--only``, which commas separate; none = all of ``known``.
+
+    Raises:
+        ConfigError: one of them is not known.
+    """
+    names = tuple(name for name in text.split(",") if name) or tuple(known)
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise ConfigError(f"--only: {', '.join(unknown)} must be of {', '.join(known)}")
+    return names
+
+
+def tell(line: str) -> None:
+    """Says what is being measured, beside the tables that go to stdout."""
+    print(line, file=sys.stderr, flush=True)

@@ -177,7 +177,7 @@ def exchange_back(outputs: list[list[str]]) -> None:
     """Answers each set of pictures with a state, until the process is ended; pictures and states are bytes."""
     node = Node("bench_exchange_back")
     publisher = node.create_publisher(RosSceneState, STATE, qos.STATE)
-    answer = bytes(_state(1)[1])
+    answer = FastSceneState(WORLD_FRAME, 1).serialize(_state(1), ())
     missing: dict[int, int] = {}
 
     def on_picture(case: int, count: int, _: bytes) -> None:
@@ -218,10 +218,13 @@ def _exchanged(
     publishers = [node.create_publisher(Image, f"{PICTURE}_{case}_{k}", qos.SENSOR) for k in range(len(pictures))]
     wait_until(lambda: all(p.get_subscription_count() for p in publishers) and bool(node.count_publishers(STATE)), waiter)
     settle(waiter, 0.2)
+    state, fast = _state(bodies), FastSceneState(WORLD_FRAME, bodies)
+    message = conversions.scene_state_to_msg(state, (0,))
     found = []
     for number in range(count + WARM_UP):
         began = time.perf_counter_ns()
-        converted = _converted(bodies)
+        fast.serialize(state, (0,))
+        conversions.scene_state_from_msg(message, state.links)
         made = time.perf_counter_ns()
         messages = [image_to_bytes(pixels, encoding, number, "camera") for encoding, pixels in pictures]
         encoded = time.perf_counter_ns()
@@ -231,7 +234,6 @@ def _exchanged(
         wait_until(lambda: bool(answers), waiter)
         came = time.perf_counter_ns()
         answers.clear()
-        del converted
         found.append((made - began, encoded - made, published - encoded, came - published))
     medians = np.median(np.array(found[WARM_UP:]), axis=0) / 1e6
     return dict(zip(("convert", "encode", "publish", "transport"), np.round(medians, 5).tolist(), strict=True))
@@ -242,22 +244,6 @@ def _picture(kind: str, size: tuple[int, int]) -> tuple[str, NDArray[Any]]:
     return encoding, np.zeros((size[1], size[0], *channels), dtype=number)
 
 
-def _state(bodies: int) -> tuple[SceneState, Any]:
+def _state(bodies: int) -> SceneState:
     links = tuple(f"body_{i}/base" for i in range(bodies))
-    state = SceneState(0, 0, 1, links, *(np.zeros((bodies, width)) for width in (3, 4, 6)))
-    return state, FastSceneState(WORLD_FRAME, bodies).serialize(state, ())
-
-
-def _converted(bodies: int) -> SceneState:
-    """Returns a state that went to bytes, and from a message back."""
-    fast = _FAST.setdefault(bodies, (FastSceneState(WORLD_FRAME, bodies), *_state_and_message(bodies)))
-    fast[0].serialize(fast[1], (0,))
-    return conversions.scene_state_from_msg(fast[2], fast[1].links)
-
-
-_FAST: dict[int, tuple[FastSceneState, SceneState, RosSceneState]] = {}
-
-
-def _state_and_message(bodies: int) -> tuple[SceneState, RosSceneState]:
-    state, _ = _state(bodies)
-    return state, conversions.scene_state_to_msg(state, (0,))
+    return SceneState(0, 0, 1, links, *(np.zeros((bodies, width)) for width in (3, 4, 6)))

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from gibson_sim.scenes.floor_map import FLOOR_TOLERANCE, FloorMap
 from gibson_sim.scenes.maps.bodies import body_triangles
-from gibson_sim.scenes.rasterise import Grid, clip_to_slab
+from gibson_sim.scenes.rasterise import clip_to_slab
 from gibson_sim.tasks.doors import WIDE, XY, HingedDoor, backing_way
 from gibson_sim.tasks.ground import Ground
 
@@ -61,7 +60,7 @@ def with_bodies(ground: Ground, without: Collection[str]) -> Ground:
     vertices, triangles = body_triangles(replace(ground.scene, bodies=bodies))
     floor = ground.floor
     parts = clip_to_slab(vertices[triangles], floor.floor_z, floor.floor_z + ground.robot.height)
-    return replace(ground, floor=_blocked(floor, parts))
+    return replace(ground, floor=ground.floor_with(parts))
 
 
 def doorway(ground: Ground, door: HingedDoor, without: Collection[str] = ()) -> Doorway | None:
@@ -80,7 +79,7 @@ def doorway(ground: Ground, door: HingedDoor, without: Collection[str] = ()) -> 
     wide = rooms[slant]
     if wide < LEAST:
         return None
-    shut, opened = (_places(there, leaf_outline(door, opening)) for opening in (0.0, wide))
+    shut, opened = (there.parts([leaf_outline(door, opening)]) for opening in (0.0, wide))
     before, behind = door.stance(0.0, slant), door.off(door.width / 2.0, -AWAY[0])
     near, far = (_label(shut, there.floor, place) for place in (before, behind))
     if not near or not far or near == far or _label(opened, there.floor, before) != _label(opened, there.floor, behind):
@@ -116,18 +115,6 @@ def _room(ground: Ground, door: HingedDoor, slant: float) -> float:
         if ground.floor.occupied[cells[:, 0], cells[:, 1]].any():
             return max(0.0, float(opening) - 2.0 * _STEP)
     return most
-
-
-def _blocked(floor: FloorMap, polygons: F64) -> FloorMap:
-    grid = Grid(floor.resolution, floor.origin, floor.shape)
-    return replace(floor, occupied=floor.occupied | grid.cover(polygons))
-
-
-def _places(ground: Ground, leaf: F64) -> NDArray[np.int32]:
-    """Returns (H, W): numbers of the parts of the floor that the robot can reach without leaving them; 0 = it cannot be there."""
-    floor = _blocked(ground.floor, leaf[None])
-    labels, _ = ndimage.label(floor.free & (floor.distance_to_obstacle >= ground.reach), structure=np.ones((3, 3)))
-    return np.asarray(labels, dtype=np.int32)
 
 
 def _label(labels: NDArray[np.int32], floor: FloorMap, place: XY) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -73,15 +73,24 @@ class Ground:
 
     def connected(self, start: tuple[float, float], goal: tuple[float, float], footprints: Iterable[F64]) -> bool:
         """Returns whether a way leads from one place to another round things; the quick question, without the way."""
-        floor = self.floor_with(list(footprints))
-        labels, _ = ndimage.label(floor.free & (floor.distance_to_obstacle >= self.reach), structure=np.ones((3, 3)))
-        a, b = (int(labels[tuple(floor.cells(place))]) for place in (start, goal))
+        labels = self.parts(list(footprints))
+        a, b = (int(labels[tuple(self.floor.cells(place))]) for place in (start, goal))
         return a == b != 0
 
-    def floor_with(self, footprints: list[F64]) -> FloorMap:
+    def parts(self, footprints: Sequence[F64]) -> NDArray[np.int32]:
+        """Returns (H, W): numbers of the parts of the floor that the robot can reach without leaving them; 0 = it cannot be there.
+
+        Args:
+            footprints: corners (4, 2) of the outlines of things on it, world metres; at least one.
+        """
+        floor = self.floor_with(footprints)
+        labels, _ = ndimage.label(floor.free & (floor.distance_to_obstacle >= self.reach), structure=np.ones((3, 3)))
+        return np.asarray(labels, dtype=np.int32)
+
+    def floor_with(self, footprints: Sequence[F64] | F64) -> FloorMap:
         """Returns the floor with things on it, given as the corners (4, 2) of their outlines, world metres; at least one."""
         grid = Grid(self.floor.resolution, self.floor.origin, self.floor.shape)
-        return replace(self.floor, occupied=self.floor.occupied | grid.cover(np.stack(footprints)))
+        return replace(self.floor, occupied=self.floor.occupied | grid.cover(np.asarray(footprints, dtype=np.float64)))
 
     def sees(self, base: Pose, points: ArrayLike, reach: float = SIGHT) -> Bools:
         """Returns (N,): which points (N, 2), world metres, are in front of the camera, near enough, and behind nothing that never moves."""
