@@ -219,12 +219,12 @@ def _exchanged(
     wait_until(lambda: all(p.get_subscription_count() for p in publishers) and bool(node.count_publishers(STATE)), waiter)
     settle(waiter, 0.2)
     state, fast = _state(bodies), FastSceneState(WORLD_FRAME, bodies)
-    message = conversions.scene_state_to_msg(state, (0,))
+    received = conversions.scene_state_to_msg(state, (0,))
     found = []
     for number in range(count + WARM_UP):
         began = time.perf_counter_ns()
         fast.serialize(state, (0,))
-        conversions.scene_state_from_msg(message, state.links)
+        conversions.scene_state_from_msg(received, state.links)
         made = time.perf_counter_ns()
         messages = [image_to_bytes(pixels, encoding, number, "camera") for encoding, pixels in pictures]
         encoded = time.perf_counter_ns()
