@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from gibson_sim.cli.processes import DomainLock
 from gibson_sim.errors import AlreadyRunningError
+from gibson_sim.simulation.domain_lock import DomainLock
 from support.simulation import Listener, new_context, require
 
 ROOT = Path(__file__).resolve().parents[1]

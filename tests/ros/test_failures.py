@@ -7,17 +7,19 @@ import os
 import re
 import signal
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from support.scenes import write_room, write_square_obj, write_triangle_glb
-from support.simulation import Launched, require, wait_until
+from support.simulation import Launched, Listener, require, wait_until
 
 require("rclpy", "gibson_msgs")
 
 from rosbags.highlevel import AnyReader  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -83,6 +85,15 @@ def test_death_of_physics_ends_the_run_and_its_shared_memory_is_cleaned_up(ros_d
     assert launched.wait() == 4
     assert any("the physics node ended with code -9" in line for line in launched.lines)
     assert _left_behind(segments) == []
+
+
+def test_physics_node_started_by_hand_gives_way_to_the_time_of_another_machine(ros_domain: int, listener: Listener) -> None:
+    # No lock tells of simulations elsewhere: it is what they publish.
+    listener.node.create_publisher(Clock, "/clock", 1)
+    command = [sys.executable, "-m", "gibson_sim.ros.physics_node", "--ros-args", "-p", "scene:=arena"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1, done.stderr
+    assert "another node publishes /clock in this ROS domain" in done.stderr
 
 
 @pytest.fixture

@@ -29,8 +29,8 @@ from std_msgs.msg import String  # noqa: E402
 from gibson_sim.bags.reader import BagReader  # noqa: E402
 from gibson_sim.bags.writer import BagWriter  # noqa: E402
 from gibson_sim.cli.environment import PARENT_VARIABLE  # noqa: E402
-from gibson_sim.cli.processes import DomainLock  # noqa: E402
 from gibson_sim.ros.conversions import time_to_msg  # noqa: E402
+from gibson_sim.simulation.domain_lock import DomainLock  # noqa: E402
 from support.clients import DEEP, LATCHED, Control, LaunchedNode  # noqa: E402
 
 pytestmark = pytest.mark.ros

@@ -66,7 +66,7 @@ def test_standard_client_drives_one_metre_within_two_centimetres(sim: Launched, 
     client = subprocess.Popen([sys.executable, str(CLIENT), kind, "1.0"], stdout=subprocess.PIPE, text=True)
     listener.spin_until(lambda: client.poll() is not None, "end of the client")
     after = truth[-1].pose.pose.position
-    said = float(client.communicate()[0])
+    said = float(client.communicate()[0].splitlines()[-1])  # Fast DDS may have said something before
     assert math.hypot(after.x - before.x, after.y - before.y) == pytest.approx(1.0, abs=0.02)
     assert said == pytest.approx(1.0, abs=0.02)
 
@@ -204,11 +204,9 @@ def test_second_simulation_in_the_domain_is_refused(sim: Launched) -> None:
 
 
 def test_physics_node_started_by_hand_refuses_too_and_disturbs_nothing(sim: Launched, listener: Listener) -> None:
-    reloads = sum("triangles" in line for line in sim.lines)
     done = subprocess.run([sys.executable, "-m", "gibson_sim.ros.physics_node"], capture_output=True, text=True, check=False)
     assert done.returncode == 1
-    assert sum("triangles" in line for line in sim.lines) == reloads, "the renderer took up another scene"
-    assert "another node publishes /clock in this ROS domain" in done.stderr
+    assert "a simulation runs in ROS domain" in done.stderr
     scenes = listener.collect(Scene, "scene", LATCHED)
     listener.spin_until(lambda: bool(scenes), "the scene")
     assert len(scenes[0].cameras[0].outputs) == len(OUTPUTS), "it must not replace the scene of the one that runs"

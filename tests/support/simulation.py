@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import signal
 import subprocess
 import sys
 import threading
 import time
+import weakref
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -42,6 +44,7 @@ class Launched:
         self.lines: list[str] = []
         self._thread = threading.Thread(target=self._read, daemon=True)
         self._thread.start()
+        _launched.add(self)
 
     def _read(self) -> None:
         assert self.process.stdout is not None
@@ -63,11 +66,9 @@ class Launched:
 
     def node_pid(self, name: str) -> int:
         """Returns the process id of a node."""
-        pattern = f"gibson_sim.ros.{name}_node"
-        for pid in _children(self.process.pid):
-            if pattern in Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace"):
-                return pid
-        raise AssertionError(f"no {name} node among the children of {self.process.pid}")
+        nodes = _nodes(self.process.pid)
+        assert name in nodes, f"no {name} node among the children of {self.process.pid}"
+        return nodes[name]
 
     def stop(self, number: int = signal.SIGINT) -> int:
         """Asks it to stop and returns its exit code."""
@@ -84,23 +85,45 @@ class Launched:
         return code
 
 
-def _children(pid: int) -> list[int]:
-    text = Path(f"/proc/{pid}/task/{pid}/children").read_text()
-    return [int(child) for child in text.split()]
+_launched: weakref.WeakSet[Launched] = weakref.WeakSet()
 
 
-def _replaced_ports() -> str:
-    """Returns which of this process's ports in shared memory another process has replaced: it hears nothing on them any more."""
-    maps = Path("/proc/self/maps").read_text().splitlines()
-    gone = sorted({line.split()[5] for line in maps if "fastrtps_port" in line and line.endswith("(deleted)")})
-    return f"; this process is deaf: replaced were {', '.join(gone)}" if gone else ""
+def _nodes(pid: int) -> dict[str, int]:
+    """Returns name -> process id of the nodes among the children of a process."""
+    found = {}
+    for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
+        line = Path(f"/proc/{child}/cmdline").read_bytes().decode(errors="replace")
+        if name := re.search(r"gibson_sim\.ros\.(\w+)_node", line):
+            found[name[1]] = int(child)
+    return found
+
+
+def _what_runs() -> str:
+    """Returns which processes are deaf, and of each running ``gibson-sim`` what it said last and where its nodes are now."""
+    found = [_replaced_ports(os.getpid(), "this process")]
+    for launched in [launched for launched in _launched if launched.process.poll() is None]:
+        nodes = _nodes(launched.process.pid)
+        for name, pid in nodes.items():
+            found.append(_replaced_ports(pid, f"{name} node"))
+            os.kill(pid, signal.SIGUSR1)  # each says where it is
+        time.sleep(2.0)
+        found += [f"{' '.join(launched.process.args[3:])} said last:", *launched.lines[-80:]]
+    return "".join(f"\n{line}" for line in found if line)
+
+
+def _replaced_ports(pid: int, who: str) -> str:
+    """Returns which of a process's own ports in shared memory another process has replaced: it hears nothing on them any more."""
+    maps = Path(f"/proc/{pid}/maps").read_text().splitlines()
+    gone = {line.split()[5] for line in maps if "fastrtps_port" in line and line.endswith("(deleted)")}
+    own = {os.readlink(link).removesuffix("_el") for link in Path(f"/proc/{pid}/fd").iterdir() if link.is_symlink()}
+    return f"{who} is deaf: replaced were {', '.join(sorted(gone & own))}" if gone & own else ""
 
 
 def wait_until(condition: Callable[[], bool], what: str) -> None:
     """Returns as soon as ``condition`` holds; fails after a patience that no healthy machine needs."""
     deadline = time.monotonic() + PATIENCE_S
     while not condition():
-        assert time.monotonic() < deadline, f"still no {what} after {PATIENCE_S:.0f} s"
+        assert time.monotonic() < deadline, f"still no {what} after {PATIENCE_S:.0f} s{_what_runs()}"
         time.sleep(0.02)
 
 
@@ -134,7 +157,7 @@ class Listener:
         """Works until ``condition`` holds."""
         deadline = time.monotonic() + PATIENCE_S
         while not condition():
-            assert time.monotonic() < deadline, f"still no {what} after {PATIENCE_S:.0f} s{_replaced_ports()}"
+            assert time.monotonic() < deadline, f"still no {what} after {PATIENCE_S:.0f} s{_what_runs()}"
             self._executor.spin_once(timeout_sec=0.05)
 
     def close(self) -> None:

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.cli import shared_memory
-from gibson_sim.cli.processes import DomainLock
 from gibson_sim.cli.shared_memory import remove_dead_segments
 from gibson_sim.errors import AlreadyRunningError
+from gibson_sim.simulation.domain_lock import DomainLock
 
 
 def test_second_simulation_in_a_domain_is_refused_and_told_what_to_do(tmp_path: Path) -> None:

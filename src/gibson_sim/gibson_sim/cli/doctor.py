@@ -19,9 +19,9 @@ from typing import Any, Literal
 
 from gibson_sim import __version__
 from gibson_sim.cli.environment import PROFILE_VARIABLE, dds_profile, domain_of, in_wheels, node_environment
-from gibson_sim.cli.processes import DomainLock
 from gibson_sim.errors import AlreadyRunningError, GibsonSimError
 from gibson_sim.resources import known_scenes
+from gibson_sim.simulation.domain_lock import DomainLock
 
 Status = Literal["ok", "warn", "FAIL"]
 TIMEOUT_S = 60.0

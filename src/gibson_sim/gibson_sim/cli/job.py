@@ -14,10 +14,11 @@ from typing import Any
 
 from gibson_sim.cli.environment import domain_of
 from gibson_sim.cli.exit_codes import ExitCode
-from gibson_sim.cli.processes import DomainLock, NodeProcess, StopRequest
+from gibson_sim.cli.processes import NodeProcess, StopRequest
 from gibson_sim.cli.report_file import write_json
 from gibson_sim.cli.shared_memory import remove_dead_segments
 from gibson_sim.errors import RecordError
+from gibson_sim.simulation.domain_lock import DomainLock
 
 MAX_RESTARTS = 3
 USER_ERROR = 1

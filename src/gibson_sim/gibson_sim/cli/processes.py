@@ -1,22 +1,17 @@
-"""Node processes: start, listen to, stop; and one simulation at a time in a ROS domain."""
+"""Node processes: start, listen to, stop."""
 
 from __future__ import annotations
 
-import fcntl
-import os
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any, TextIO
 
 from gibson_sim.cli.options import node_arguments
-from gibson_sim.errors import AlreadyRunningError
 
 GRACE_S = ((signal.SIGINT, 20.0), (signal.SIGTERM, 3.0), (signal.SIGKILL, 5.0))
 """Signals to stop a node with, and how long each may take."""
@@ -78,37 +73,6 @@ class NodeProcess:
                 time.sleep(0.02)
         self._reader.join(timeout=1.0)
         return self._process.wait()
-
-
-class DomainLock:
-    """Held by the one simulation of a ROS domain on this machine; the kernel frees it however the holder ends."""
-
-    def __init__(self, domain_id: int, folder: Path | None = None) -> None:
-        """Takes the lock.
-
-        Raises:
-            AlreadyRunningError: another process holds it.
-        """
-        self.path = (folder or Path(tempfile.gettempdir())) / f"gibson-sim-domain-{domain_id}.lock"
-        self._file: int | None = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            holder = os.read(self._file, 32).decode(errors="replace").strip()
-            os.close(self._file)
-            self._file = None
-            raise AlreadyRunningError(
-                f"a simulation runs in ROS domain {domain_id} already (process {holder or 'unknown'}): "
-                "stop it, or choose another domain with --domain-id"
-            ) from None
-        os.ftruncate(self._file, 0)
-        os.write(self._file, str(os.getpid()).encode())
-
-    def close(self) -> None:
-        """Frees the lock."""
-        if self._file is not None:
-            os.close(self._file)
-            self._file = None
 
 
 class StopRequest:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import faulthandler
 import json
 import logging
 import os
@@ -92,6 +93,7 @@ def run_node(make: Callable[[], Any], args: list[str] | None = None) -> None:
     """
     logging.addLevelName(logging.WARNING, "WARN")  # as rclpy spells it
     logging.basicConfig(stream=sys.stderr, level=logging.INFO, format="%(levelname)s %(message)s")
+    faulthandler.register(signal.SIGUSR1)  # says on stderr where each thread is
     end_with_parent()
     keep_large_blocks()
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)

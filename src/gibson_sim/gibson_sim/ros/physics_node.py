@@ -35,6 +35,7 @@ from gibson_sim.ros.tick_publisher import TickPublisher
 from gibson_sim.ros.world_interface import WorldInterface
 from gibson_sim.scenes.placement import populate
 from gibson_sim.scenes.randomise_yaml import load_rules
+from gibson_sim.simulation.domain_lock import DomainLock
 from gibson_sim.simulation.simulator import Simulator
 from gibson_sim.simulation.states import SimulationState
 from gibson_sim.types import NS_PER_S
@@ -69,6 +70,7 @@ class PhysicsNode(Node):
             GibsonSimError: a setting, the scene or a robot cannot be used, or another simulation publishes /clock.
         """
         super().__init__("physics", **kwargs)
+        self._domain_lock: DomainLock | None = None
         self._simulator: Simulator | None = None
         self._stamped: StampedCommands | None = None
         self._standard: SimulationServices | None = None
@@ -112,9 +114,13 @@ class PhysicsNode(Node):
     def _look_for_others(self) -> None:
         """Refuses before anything is published: a second scene would replace the first one in its renderers.
 
-        The launcher keeps a lock on the domain, so a node that it started need not wait for what discovery brings.
+        A lock tells of those on this machine, whatever discovery brings; a node that the launcher started need not wait for those on
+        others either, and has the launcher's lock.
         """
-        deadline = time.monotonic() + (0.0 if started_by_launcher() else DISCOVERY_S)
+        deadline = time.monotonic()
+        if not started_by_launcher():
+            self._domain_lock = DomainLock(self.context.get_domain_id())
+            deadline += DISCOVERY_S
         self._refuse_second_simulation(own=0)
         while time.monotonic() < deadline:
             time.sleep(0.05)
@@ -367,6 +373,9 @@ class PhysicsNode(Node):
             write_summary(self._config.summary_path, self._stats.summary(self._robots.values()))
             self._simulator.close()
             self._simulator = None
+        if self._domain_lock is not None:
+            self._domain_lock.close()
+            self._domain_lock = None
 
 
 def main(args: list[str] | None = None) -> None:
