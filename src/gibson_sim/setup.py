@@ -52,6 +52,7 @@ setup(
         "cuda": ["cuda-bindings>=12.6"],
         "torch": ["torch>=2.3"],
         "lerobot": ["pyarrow>=15"],
+        "fast": ["numba>=0.61"],
         "gym": ["gymnasium>=1.0"],
         "analysis": ["matplotlib>=3.8"],
         "authoring": ["bpy"],

@@ -96,7 +96,7 @@ def test_large_triangles_that_were_known_are_not_looked_at_again(batches: Batche
 def test_draws_that_follow_each_other_become_one_and_draw_the_same_in_the_same_order(batches: Batches) -> None:
     planner = Planner(batches, Visibility(batches), 0.0, cull=True)
     whole = _plan(batches)
-    cut, _ = planner.pieces(whole)
+    cut = planner.pieces(whole).cut
     joined = cut.joined()
     assert len(joined.draws) <= len(whole.draws) < len(cut.draws)
     for plan in (cut, joined):

@@ -50,7 +50,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Prints what was found; returns 1 if something fails."""
     findings = []
-    for check in (_python, _ros, _physics, _graphics, _dds, _shared_memory, _disk, _scenes, _domain):
+    for check in (_python, _ros, _physics, _loops, _graphics, _dds, _shared_memory, _disk, _scenes, _domain):
         for finding in check():
             findings.append(finding)
             if not args.json:
@@ -111,6 +111,13 @@ def _physics() -> Iterator[Finding]:
         text,
         "" if ok else "run `make setup`; on CPython 3.12 PyBullet is compiled, which takes some minutes",
     )
+
+
+def _loops() -> Iterator[Finding]:
+    from gibson_sim.geometry.compiling import CAN_COMPILE  # half a second of Numba
+
+    text = "what to draw is chosen by compiled loops" if CAN_COMPILE else "not installed: NumPy chooses what to draw, more slowly"
+    yield Finding("Numba", "ok" if CAN_COMPILE else "warn", text, "" if CAN_COMPILE else "pip install gibson-sim[fast]")
 
 
 _DEVICES = """

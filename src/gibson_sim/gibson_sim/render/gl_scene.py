@@ -15,7 +15,6 @@ from gibson_sim.render.context import GlContext
 from gibson_sim.render.dressing import Dressing
 from gibson_sim.render.lighting import Lighting
 from gibson_sim.render.occluders import Occluders
-from gibson_sim.render.occlusion import DepthPyramid
 from gibson_sim.render.planning import VIEW, Picture, Plan, Planner, Run, draw_table
 from gibson_sim.render.programs import Programs
 from gibson_sim.render.scene_memory import SceneMemory
@@ -210,13 +209,13 @@ class GlScene:
         """Fills the depth with what hides most, a little behind its place; returns the plans without what cannot be seen past it."""
         self._fill_large(target, plans)
         self._gl.glFlush()  # it is drawn while the following is worked out
-        cut = [self._planner.pieces(plan) for plan in plans]
+        looks = self._planner.looks(plans)
         depth = self._read_depth(target)
         if sum(plan.triangles for plan in plans) >= _NEAR_FROM and np.count_nonzero(depth) < _COVERED * depth.size:
             self._fill_depth(plans, [plan.near for plan in plans], self._planner.table)
             depth = self._read_depth(target)
         self._gl.glDisable(GL.POLYGON_OFFSET_FILL)
-        return [plan.only(~outlines.hidden(DepthPyramid(_part(depth, plan.picture)))).joined() for plan, outlines in cut]
+        return [look.unhidden(_part(depth, plan.picture)) for look, plan in zip(looks, plans, strict=True)]
 
     def _fill_large(self, target: Target, plans: Sequence[Plan]) -> None:
         """Clears the depth of a target and fills it with the large triangles, a little behind their places; leaves that offset on."""

@@ -1,4 +1,4 @@
-"""Which boxes are hidden behind what is drawn already: a pyramid of farthest depths (Greene, Kass and Miller 1993). Pure numpy.
+"""Which boxes are hidden behind what is drawn already: a pyramid of farthest depths (Greene, Kass and Miller 1993).
 
 Exact in one direction: what is called hidden would not have changed a pixel. It pays where triangles are dear, as on a CPU; a GPU
 would wait for the depth image longer than the hidden triangles take.
@@ -9,13 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.render.choosing import MARGIN, SQUARE
+
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
-SQUARE = 8
-"""Side of the smallest squares, pixels."""
-_MARGIN = 1e-5
-"""Part by which a box must lie deeper, since depths are rounded."""
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 
 
@@ -105,6 +103,6 @@ class Outlines:
 
     def hidden(self, pyramid: DepthPyramid) -> NDArray[np.bool_]:
         """Returns which boxes cannot be seen past what is in the depth image of the picture, (N,)."""
-        deeper = self._reversed_depth < pyramid.least(*self._first, *self._last) * (1.0 - _MARGIN)
+        deeper = self._reversed_depth < pyramid.least(*self._first, *self._last) * (1.0 - MARGIN)
         covered: NDArray[np.bool_] = self._ahead & (self._outside | deeper)
         return covered

@@ -1,4 +1,4 @@
-"""Chunks cut into pieces with boxes of their own: more of them are hidden than of whole chunks. Pure numpy.
+"""Chunks cut into pieces with boxes of their own: more of them are hidden than of whole chunks.
 
 Boxes are worked out when a chunk is first asked for: most chunks of a large scene never are.
 """
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.render.batches import Batches
+from gibson_sim.render.choosing import PieceTable
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -32,7 +33,20 @@ class Pieces:
         """(C,), row of the first one; -1 = not worked out yet."""
         self._rows = 0
         self._box = np.zeros((0, 6))
-        self._range = np.zeros((0, 2), dtype=np.uint32)
+        """(P, 6), centre and half the size, metres, frame of the link."""
+        self._span = np.zeros((0, 2), dtype=np.uint32)
+        """(P, 2), number of indices, and the first of them."""
+
+    @property
+    def table(self) -> PieceTable:
+        """All that are known now."""
+        return PieceTable(self._row, self._number, self._box, self._span)
+
+    def prepare(self, chunks: I64) -> None:
+        """Works out the pieces of chunks, (N,), of which they are not known yet."""
+        new = self._row[chunks] < 0
+        if new.any():
+            self._work_out(np.unique(chunks[new]))
 
     def of(self, chunks: I64) -> tuple[I64, F64, NDArray[np.uint32]]:
         """Returns the pieces of chunks, in their order, P in all.
@@ -44,13 +58,11 @@ class Pieces:
             The place in ``chunks`` of each, (P,); its box, (P, 6), centre and half the size, metres, frame of the link; and its number of
             indices and the first of them, (P, 2).
         """
-        new = np.unique(chunks[self._row[chunks] < 0])
-        if len(new):
-            self._work_out(new)
+        self.prepare(chunks)
         number = self._number[chunks]
         ends = np.cumsum(number)
         rows = np.arange(int(ends[-1]) if len(ends) else 0) + np.repeat(self._row[chunks] - (ends - number), number)
-        return np.repeat(np.arange(len(chunks)), number), self._box[rows], self._range[rows]
+        return np.repeat(np.arange(len(chunks)), number), self._box[rows], self._span[rows]
 
     def _work_out(self, chunks: I64) -> None:
         b, number = self._b, self._number[chunks]
@@ -66,7 +78,7 @@ class Pieces:
         self._reserve(self._rows + total)
         rows = slice(self._rows, self._rows + total)
         self._box[rows] = np.hstack([(low + high) / 2, (high - low) / 2])
-        self._range[rows, 0], self._range[rows, 1] = count, first
+        self._span[rows, 0], self._span[rows, 1] = count, first
         self._row[chunks] = self._rows + ends - number
         self._rows += total
 
@@ -74,5 +86,5 @@ class Pieces:
         if rows > len(self._box):
             size = max(rows, 2 * len(self._box))
             box, span = np.zeros((size, 6)), np.zeros((size, 2), dtype=np.uint32)
-            box[: self._rows], span[: self._rows] = self._box[: self._rows], self._range[: self._rows]
-            self._box, self._range = box, span
+            box[: self._rows], span[: self._rows] = self._box[: self._rows], self._span[: self._rows]
+            self._box, self._span = box, span

@@ -1,4 +1,4 @@
-"""What to draw of one picture, and in which order. Pure numpy.
+"""What to draw of one picture, and in which order.
 
 The order is that of all chunks inside the image, whatever is left out of them later because something hides it: of two surfaces at the
 very same depth the one that is drawn first is seen, and which one that is must not depend on anything else.
@@ -6,21 +6,26 @@ very same depth the one that is drawn first is seen, and which one that is must 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.geometry.compiling import CAN_COMPILE
 from gibson_sim.geometry.projections import clip_from_optical, frustum_planes
 from gibson_sim.geometry.transforms import Mat4
+from gibson_sim.render import choosing
 from gibson_sim.render.batches import Batches
-from gibson_sim.render.occlusion import Outlines, pixels_from_links
+from gibson_sim.render.choosing import Detail, Shown
+from gibson_sim.render.occlusion import DepthPyramid, Outlines, pixels_from_links
 from gibson_sim.render.pieces import Pieces
-from gibson_sim.render.visibility import Detail, Visibility, link_frames
+from gibson_sim.render.visibility import Visibility, link_frames
 
 F64 = NDArray[np.float64]
+F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]
 U32 = NDArray[np.uint32]
 
@@ -136,10 +141,13 @@ class Planner:
         visibility: of the same batches.
         detail_px: how far, pixels, levels of detail may put a surface from where it is; 0 = always draw all triangles.
         cull: leave out what is outside the image.
+        loops: by compiled loops instead of NumPy; the plans are the same.
     """
 
-    def __init__(self, batches: Batches, visibility: Visibility, detail_px: float, *, cull: bool) -> None:
-        self._b, self._visibility, self._detail_px, self._cull = batches, visibility, detail_px, cull
+    def __init__(
+        self, batches: Batches, visibility: Visibility, detail_px: float, *, cull: bool, loops: bool = CAN_COMPILE
+    ) -> None:
+        self._b, self._visibility, self._detail_px, self._cull, self._loops = batches, visibility, detail_px, cull, loops
         self._table, self._pieces = draw_table(batches, batches.chunk_first, batches.chunk_count), Pieces(batches)
         kinds = [batch.kind for batch in batches.batches]
         self._cut = np.array([kind != "opaque" for kind in kinds], dtype=bool)
@@ -163,11 +171,10 @@ class Planner:
         view["eye"][:3] = eyes[0]
         view["size"][:3] = picture.width, picture.height, picture.near
         focal = float(max(abs(picture.intrinsics[0, 0]), abs(picture.intrinsics[1, 1])))
-        chunks = self._visibility.choose(eyes, Detail(focal, self._detail_px, picture.near))
-        if self._cull:
-            chunks = chunks[self._visibility.inside(chunks, planes, T_camera_links)]
-        distance = self._visibility.distances(chunks, eyes)
-        return self._ordered(picture, T_camera_links, chunks[np.argsort(distance, kind="stable")])
+        detail = Detail(focal, self._detail_px, picture.near)
+        planes = planes if self._cull else planes[:0]
+        chunks = self._visibility.nearest_first(eyes, detail, planes, T_camera_links, loops=self._loops)
+        return self._ordered(picture, T_camera_links, chunks)
 
     def solid(self, chunks: I64) -> Plan:
         """Returns a plan that draws what is solid of these chunks, for a picture of no camera."""
@@ -176,7 +183,18 @@ class Planner:
 
     def _ordered(self, picture: Picture, T_camera_links: F64, chunks: I64) -> Plan:
         """Returns the plan for chunks that come the nearest first."""
-        batch = self._visibility.batch_of[chunks]
+        batch = self._visibility.batch_of
+        if self._loops:
+            every, solid, near, total = choosing.drawing_order(
+                chunks, batch, self._cut, self._has_solid, self._has_back, self._b.chunk_count, _NEAR_PART
+            )
+        else:
+            every, solid, near, total = self._order(chunks, batch[chunks])
+        drawn = chunks[every]
+        return Plan(picture, T_camera_links, drawn, self._table[drawn], batch[drawn], solid, near, total)
+
+    def _order(self, chunks: I64, batch: I64) -> tuple[I64, int, I64, int]:
+        """The same as ``choosing.drawing_order``, of chunks and the batch of each."""
         # The order of batches is that of their first chunk, but what has holes comes after what has none.
         rank = np.zeros(len(self._cut), dtype=np.int64)
         rank[batch[::-1]] = np.arange(len(chunks) - 1, -1, -1)  # of several numbers the last one stays: that of the first chunk
@@ -184,15 +202,16 @@ class Planner:
         order = np.argsort(rank[batch], kind="stable")
         order = order[self._has_solid[chunks[order]]]
         back = np.flatnonzero(self._has_back[chunks])[::-1]
-        every = np.concatenate([order, back])
         triangles = np.cumsum(self._b.chunk_count[chunks], dtype=np.int64) // 3
         total = int(triangles[-1]) if len(chunks) else 0
         split = int(np.searchsorted(triangles, total * _NEAR_PART))
-        near = chunks[:split][~self._cut[batch[:split]]]
-        drawn = chunks[every]
-        return Plan(picture, T_camera_links, drawn, self._table[drawn], batch[every], len(order), near, total)
+        return np.concatenate([order, back]), len(order), chunks[:split][~self._cut[batch[:split]]], total
 
-    def pieces(self, plan: Plan) -> tuple[Plan, Outlines]:
+    def looks(self, plans: Sequence[Plan]) -> list[Look]:
+        """Returns, of each plan, what finds out which parts of it are hidden; it does what can be done before there is a depth image."""
+        return [CompiledLook(plan, self._b, self._pieces) if self._loops else self.pieces(plan) for plan in plans]
+
+    def pieces(self, plan: Plan) -> NumpyLook:
         """Returns the plan cut into smaller draws, and where each of them lies."""
         place, box, span = self._pieces.of(plan.chunks)
         draws = plan.draws[place]
@@ -201,7 +220,50 @@ class Planner:
         matrices = pixels_from_links(plan.T_camera_links, p.intrinsics)[self._b.chunk_link[chunks]]
         first_back = int(np.searchsorted(place, plan.solid))
         cut = replace(plan, chunks=chunks, draws=draws, batch=plan.batch[place], solid=first_back)
-        return cut, Outlines(box, matrices, (p.width, p.height), p.near)
+        return NumpyLook(cut, Outlines(box, matrices, (p.width, p.height), p.near))
+
+
+class Look(Protocol):
+    """Finds out what of a plan is hidden."""
+
+    def unhidden(self, depth: F32) -> Plan:
+        """Returns the plan of what may be seen past a depth image of the picture, (H, W), ``near / depth``, 0 = nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class NumpyLook:
+    """A plan cut into pieces, and where each of them lies."""
+
+    cut: Plan
+    outlines: Outlines
+
+    def unhidden(self, depth: F32) -> Plan:
+        """As ``Look`` says."""
+        return self.cut.only(~self.outlines.hidden(DepthPyramid(depth))).joined()
+
+
+class CompiledLook:
+    """The same by compiled loops, which need no preparation but that the pieces are known."""
+
+    def __init__(self, plan: Plan, batches: Batches, pieces: Pieces) -> None:
+        self._plan, self._b, self._pieces = plan, batches, pieces
+        pieces.prepare(plan.chunks)
+
+    def unhidden(self, depth: F32) -> Plan:
+        """As ``Look`` says."""
+        plan, p = self._plan, self._plan.picture
+        chunks, batch, draws, solid = choosing.without_hidden(
+            plan.chunks,
+            plan.batch,
+            plan.draws,
+            plan.solid,
+            self._pieces.table,
+            self._b.chunk_link,
+            pixels_from_links(plan.T_camera_links, p.intrinsics),
+            Shown(float(p.width), float(p.height), float(p.near)),
+            choosing.depth_pyramid(depth),
+        )
+        return replace(plan, chunks=chunks, draws=draws, batch=batch, solid=solid)
 
 
 def draw_table(b: Batches, first: NDArray[Any], count: NDArray[Any]) -> U32:

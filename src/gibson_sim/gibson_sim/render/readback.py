@@ -16,9 +16,9 @@ from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.render import gl as GL
 from gibson_sim.render.context import GlContext
 from gibson_sim.render.target import ATTACHMENT, Target
+from gibson_sim.render.unpacking import depth_of, normals_of, positions_of, turned
 from gibson_sim.types import CameraSpec, Frame, Output
 
-F32 = NDArray[np.float32]
 _RAW: dict[str, tuple[int, int, int, type[np.generic]]] = {
     # Four bytes a pixel is what drivers store and copy at once; dropping alpha on the host takes far less than their conversion.
     "color": (GL.RGBA, GL.UNSIGNED_BYTE, 4, np.uint8),
@@ -28,8 +28,6 @@ _RAW: dict[str, tuple[int, int, int, type[np.generic]]] = {
     "FLOW": (GL.RG, GL.FLOAT, 2, np.float32),
 }
 """OpenGL's format and type, numbers a pixel, their type."""
-UNIT = np.float32(2.0 / 65535.0)
-"""Normals are stored as fractions of 65535: ``fraction * UNIT - 1``."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,15 +97,12 @@ def frame_from_raw(shot: Shot, raw: dict[str, NDArray[Any]]) -> Frame:
     outputs = camera.outputs
     part = {name: a[shot.y : shot.y + camera.height, shot.x : shot.x + camera.width] for name, a in raw.items()}
     R = shot.T_world_camera[:3, :3].astype(np.float32)
-    depth = _depth(part["depth"], camera) if {"depth", "position"} & set(outputs) else None
-    normal = _normals(part["NORMALS"]) if {"normal", "normal_world"} & set(outputs) else None
+    depth = depth_of(part["depth"], camera.near, camera.far) if {"depth", "position"} & set(outputs) else None
+    normal = normals_of(part["NORMALS"]) if {"normal", "normal_world"} & set(outputs) else None
     position = None
     if "position" in outputs:
         assert depth is not None
-        with np.errstate(invalid="ignore"):  # 0 times infinity: straight ahead, and nothing there
-            seen = rays_f32(camera) * depth[:, :, None]
-        position = _turned(R, seen, shot.T_world_camera[:3, 3].astype(np.float32))
-        position[~np.isfinite(depth)] = np.nan
+        position = positions_of(rays_f32(camera), depth, R, shot.T_world_camera[:3, 3].astype(np.float32))
     return Frame(
         camera,
         shot.stamp_ns,
@@ -117,48 +112,13 @@ def frame_from_raw(shot: Shot, raw: dict[str, NDArray[Any]]) -> Frame:
         semantic=np.ascontiguousarray(part["LABELS"][:, :, 0]) if "semantic" in outputs else None,
         instance=np.ascontiguousarray(part["LABELS"][:, :, 1]) if "instance" in outputs else None,
         normal=normal if "normal" in outputs else None,
-        normal_world=_turned(R, normal) if normal is not None and "normal_world" in outputs else None,
+        normal_world=turned(R, normal) if normal is not None and "normal_world" in outputs else None,
         position=position,
         flow=part["FLOW"].copy() if "flow" in outputs else None,
     )
 
 
-def _depth(raw: F32, camera: CameraSpec) -> F32:
-    """Returns metres, +inf = nothing nearer than ``far``."""
-    near, far = np.float32(camera.near), np.float32(camera.far)
-    with np.errstate(divide="ignore"):
-        depth: F32 = near / raw
-    # Few images show anything beyond: to look is quicker than to choose for each pixel.
-    least = near / far
-    if float(raw.min()) < least:
-        depth[raw < least] = np.inf
-    return depth
-
-
-def _normals(raw: NDArray[np.uint16]) -> F32:
-    """Returns unit normals, 0 = nothing."""
-    # One conversion, then arithmetic in place: half the time of a multiplication that converts.
-    normals = cv2.cvtColor(raw, cv2.COLOR_RGBA2RGB).astype(np.float32)
-    normals *= UNIT
-    normals -= np.float32(1.0)
-    if not raw[:, :, 3].all():
-        normals[raw[:, :, 3] == 0] = 0.0
-    return normals
-
-
-def _turned(R: F32, vectors: F32, t: F32 | None = None) -> F32:
-    """Returns ``R v + t``, float32, summed from left to right: what a GPU computes, to the bit."""
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    out = np.empty_like(vectors)
-    for i in range(3):
-        with np.errstate(invalid="ignore"):
-            out[..., i] = R[i, 0] * x + R[i, 1] * y + R[i, 2] * z
-        if t is not None:
-            out[..., i] += t[i]
-    return out
-
-
 @lru_cache(maxsize=64)
-def rays_f32(camera: CameraSpec) -> F32:
+def rays_f32(camera: CameraSpec) -> NDArray[np.float32]:
     """Returns what a pixel's depth is multiplied with to give its point in the optical frame, (H, W, 3); NaN = nothing is seen there."""
     return projections.rays(camera).astype(np.float32)

@@ -1,32 +1,21 @@
-"""Which chunks of a scene to draw for one picture, and in which order: detail, frustum, distance. Pure numpy.
+"""Which chunks of a scene to draw for one picture, and in which order: detail, frustum, distance.
 
-The cost follows the number of groups of chunks for the choice of detail, and what was chosen for all that comes after.
+In NumPy the cost follows the number of groups of chunks for the choice of detail, and what was chosen for all that comes after. Sums are
+written out, so that their order is that of the compiled loops.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.transforms import Mat4
+from gibson_sim.render import choosing
 from gibson_sim.render.batches import Batches
+from gibson_sim.render.choosing import Chunks, Detail, Groups
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
-
-
-@dataclass(frozen=True, slots=True)
-class Detail:
-    """How coarse a chunk may be."""
-
-    focal_px: float
-    """Pixels a metre covers at 1 m; 0 = draw the finest."""
-    largest_error_px: float
-    """How far, pixels, a surface may be from where it is; 0 = draw the finest."""
-    near: float
-    """Metres; nothing counts as nearer than this."""
 
 
 class Visibility:
@@ -43,6 +32,8 @@ class Visibility:
         self._group_moves = bool((batches.group_link > 0).any())
         self._chunk_moves = bool((batches.chunk_link > 0).any())
         self._link_box = _link_boxes(batches.chunk_link, batches.chunk_box)
+        self._groups = Groups(batches.group_error, batches.group_box, batches.group_link)
+        self._chunks = Chunks(batches.chunk_group, batches.chunk_next_group, batches.chunk_box, batches.chunk_link)
 
     def choose(self, eyes: F64, detail: Detail) -> I64:
         """Returns the chunks, ascending, that stand for all triangles at a distance.
@@ -55,8 +46,7 @@ class Visibility:
         if not (detail.focal_px > 0.0 and detail.largest_error_px > 0.0) or not len(b.group_error):
             return self._finest
         eye = eyes[b.group_link] if self._group_moves else eyes[0]
-        gap = np.maximum(np.abs(eye - b.group_box[:, :3]) - b.group_box[:, 3:], 0.0)
-        distance = np.maximum(np.sqrt(np.einsum("gk,gk->g", gap, gap)), detail.near)
+        distance = np.maximum(_distances(eye, b.group_box), detail.near)
         small = np.empty(len(b.group_error) + 1, dtype=bool)
         small[:-1] = b.group_error * detail.focal_px <= detail.largest_error_px * distance
         # Index -1: no coarser group is never good enough, and the finest chunks always are.
@@ -83,34 +73,36 @@ class Visibility:
             half = np.einsum("cij,cj->ci", np.abs(T[:, :3, :3]), half)
         return np.stack([(centre - half).min(axis=0), (centre + half).max(axis=0)])
 
-    def inside(self, chunks: I64, planes: F64, T_camera_links: F64) -> NDArray[np.bool_]:
-        """Returns which of the chunks may be in the image, (N,).
+    def nearest_first(self, eyes: F64, detail: Detail, planes: F64, T_camera_links: F64, *, loops: bool) -> I64:
+        """Returns the chunks that stand for all triangles inside the image, the nearest first.
 
         Args:
-            chunks: (N,).
+            eyes: (L + 1, 3), the eye in the world, then in each link, metres.
+            detail: how coarse they may be.
             planes: (P, 4), optical frame: a point x is inside where ``planes @ (x, 1) >= 0`` for all.
             T_camera_links: (L + 1, 4, 4): optical frame from the world, then from each link.
+            loops: by compiled loops instead of NumPy.
         """
-        box, link = self._b.chunk_box[chunks], self._b.chunk_link[chunks]
-        p = planes @ T_camera_links[0]
-        if not self._chunk_moves:
-            return _before(p, box)
-        # Few links are in the image: what belongs to the others need not be looked at.
         of_links = planes @ T_camera_links[: len(self._link_box)]
-        near = _each_before(of_links, self._link_box)[link]
+        if loops:
+            return choosing.nearest_first(eyes, self._groups, self._chunks, self._link_box, of_links, detail)
+        chunks = self.choose(eyes, detail)
+        chunks = chunks[self._inside(chunks, of_links)]
+        eye = eyes[self._b.chunk_link[chunks]] if self._chunk_moves else eyes[0]
+        return chunks[np.argsort(_distances(eye, self._b.chunk_box[chunks]), kind="stable")]
+
+    def _inside(self, chunks: I64, planes: F64) -> NDArray[np.bool_]:
+        """Returns which of the chunks may be before all planes, (L + 1, P, 4), of the world and of each link."""
+        box, link = self._b.chunk_box[chunks], self._b.chunk_link[chunks]
+        if not self._chunk_moves:
+            return _before(planes[0], box)
+        # Few links are in the image: what belongs to the others need not be looked at.
+        near = _before(planes, self._link_box)[link]
         still, moving = np.flatnonzero(link == 0), np.flatnonzero(near & (link > 0))
         inside = np.zeros(len(chunks), dtype=bool)
-        inside[still] = _before(p, box[still])
-        inside[moving] = _each_before(of_links[link[moving]], box[moving])
+        inside[still] = _before(planes[0], box[still])
+        inside[moving] = _before(planes[link[moving]], box[moving])
         return inside
-
-    def distances(self, chunks: I64, eyes: F64) -> F64:
-        """Returns how far the box of each chunk is from the eye, (N,), metres."""
-        box = self._b.chunk_box[chunks]
-        eye = eyes[self._b.chunk_link[chunks]] if self._chunk_moves else eyes[0]
-        gap = np.maximum(np.abs(eye - box[:, :3]) - box[:, 3:], 0.0)
-        distance: F64 = np.sqrt(np.einsum("ck,ck->c", gap, gap))
-        return distance
 
 
 def _link_boxes(link: I64, box: F64) -> F64:
@@ -123,17 +115,19 @@ def _link_boxes(link: I64, box: F64) -> F64:
     return np.hstack([(low + high) / 2, (high - low) / 2])
 
 
+def _distances(eye: F64, boxes: F64) -> F64:
+    """Returns how far boxes, (N, 6), are from an eye, (3,), or from one each, (N, 3); metres."""
+    gap = np.maximum(np.abs(eye - boxes[:, :3]) - boxes[:, 3:], 0.0)
+    x, y, z = gap[:, 0], gap[:, 1], gap[:, 2]
+    distances: F64 = np.sqrt(x * x + y * y + z * z)
+    return distances
+
+
 def _before(planes: F64, boxes: F64) -> NDArray[np.bool_]:
-    """Returns which boxes, (N, 6), lie before all planes, (P, 4), or touch them, (N,)."""
-    nearest = boxes[:, :3] @ planes[:, :3].T + boxes[:, 3:] @ np.abs(planes[:, :3]).T + planes[:, 3]
-    return np.asarray((nearest >= 0.0).all(axis=1))
-
-
-def _each_before(planes: F64, boxes: F64) -> NDArray[np.bool_]:
-    """The same with planes of each box, (N, P, 4)."""
-    normals = planes[:, :, :3]
-    nearest = np.matmul(normals, boxes[:, :3, None]) + np.matmul(np.abs(normals), boxes[:, 3:, None])
-    return np.asarray((nearest[:, :, 0] + planes[:, :, 3] >= 0.0).all(axis=1))
+    """Returns which boxes, (N, 6), lie before all planes, (P, 4) or of each box (N, P, 4), or touch them, (N,)."""
+    (x, y, z, d), (cx, cy, cz, hx, hy, hz) = np.moveaxis(planes, -1, 0), boxes.T[:, :, None]
+    reach = x * cx + y * cy + z * cz + (np.abs(x) * hx + np.abs(y) * hy + np.abs(z) * hz) + d
+    return np.asarray((reach >= 0.0).all(axis=1))
 
 
 def link_frames(T_world_camera: Mat4, T_world_links: F64) -> tuple[F64, F64]:

@@ -1,0 +1,28 @@
+"""Loops over numbers become machine code, by Numba, where it is installed (the extra ``fast``)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+try:
+    from numba import njit
+except ImportError:
+    njit = None  # type: ignore[assignment]
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+CAN_COMPILE: bool = njit is not None
+"""Whether ``compiled`` compiles. If not, NumPy is far quicker than loops: callers have the same in NumPy, which must give equal results."""
+
+
+def compiled(function: Function) -> Function:
+    """Returns the function compiled, at its first call in an installation, which takes seconds; later processes find it in a cache.
+
+    Arithmetic is done as it is written, without fused or reordered operations: the numbers are those of NumPy, to the bit.
+    """
+    if not CAN_COMPILE:
+        return function
+    try:
+        return cast(Function, njit(cache=True, nogil=True, error_model="numpy")(function))
+    except RuntimeError:  # neither beside the module nor in the user's cache can anything be kept: it is compiled anew in every process
+        return cast(Function, njit(nogil=True, error_model="numpy")(function))

@@ -1,0 +1,110 @@
+"""Compiled loops give what NumPy gives, to the bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gibson_sim.geometry.compiling import CAN_COMPILE
+from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_quat
+from gibson_sim.render.batches import Batches
+from gibson_sim.render.building import build_batches
+from gibson_sim.render.planning import VIEW, Picture, Plan, Planner
+from gibson_sim.render.unpacking import depth_of, normals_of, positions_of, turned
+from gibson_sim.render.visibility import Visibility
+from gibson_sim.robots.spec import Shape, VisualSpec
+from gibson_sim.scenes.primitives import primitive_mesh
+from gibson_sim.types import Pose, Rgba
+
+if not CAN_COMPILE:
+    pytest.skip("SKIPPED: no Numba in this Python, so there is nothing to compare", allow_module_level=True)
+
+K = np.array([[40.0, 0.0, 31.5], [0.0, 42.0, 23.5], [0.0, 0.0, 1.0]])
+COLORS: tuple[Rgba, ...] = ((0.5, 0.5, 0.5, 1.0), (0.2, 0.4, 0.9, 0.4))
+
+
+def _rotation(rng: np.random.Generator) -> NDArray[np.float64]:
+    quat = rng.normal(size=4)
+    return np.asarray(matrix_from_quat(quat / np.linalg.norm(quat)))
+
+
+def _batches(rng: np.random.Generator, links: tuple[str, ...]) -> Batches:
+    """Boxes and balls, some of glass, some on links, in several levels of detail."""
+    shapes = (Shape("box", (0.8, 0.6, 1.5)), Shape("sphere", (0.4, 0.4, 0.4)))
+
+    visuals = tuple(
+        VisualSpec(
+            f"v{k}", str(rng.choice(["", *links])), shapes[k % 2], Pose(tuple(rng.uniform(-4, 4, 3))), COLORS[int(k % 5 == 0)]
+        )
+        for k in range(40)
+    )
+    return build_batches(visuals, links, primitive_mesh, coarser=True)
+
+
+def _plans(planner: Planner, rng: np.random.Generator, links: int) -> list[tuple[Plan, Plan]]:
+    """Returns some plans, and what is left of each before a depth image."""
+    found = []
+    for _ in range(6):
+        T_world_links = np.stack([np.eye(4)] * (links + 1))
+        for T in T_world_links[1:]:
+            T[:3, :3], T[:3, 3] = _rotation(rng), rng.uniform(-2, 2, 3)
+        camera = np.eye(4)
+        camera[:3, :3], camera[:3, 3] = _rotation(rng) @ R_LINK_OPTICAL, rng.uniform(-3, 3, 3)
+        plan = planner.plan(Picture(camera, K, 64, 48, 0.05), T_world_links, np.zeros(1, dtype=VIEW)[0])
+        depth = np.zeros((48, 64), dtype=np.float32)
+        depth[rng.integers(0, 20) :, : rng.integers(10, 64)] = 0.05 / rng.uniform(0.5, 4.0)
+        found.append((plan, planner.looks([plan])[0].unhidden(depth)))
+    return found
+
+
+@pytest.mark.parametrize("links", [(), ("a", "b", "c")], ids=["standing", "moving"])
+@pytest.mark.parametrize(("detail_px", "cull"), [(0.0, True), (2.0, True), (0.0, False)])
+def test_plans_are_the_same(links: tuple[str, ...], detail_px: float, cull: bool) -> None:
+    batches = _batches(np.random.default_rng(3), links)
+    pairs = [
+        _plans(Planner(batches, Visibility(batches), detail_px, cull=cull, loops=loops), np.random.default_rng(4), len(links))
+        for loops in (False, True)
+    ]
+    drawn, left = 0, 0
+    for numpy, loops in zip(*pairs, strict=True):
+        for ours, theirs in zip(numpy, loops, strict=True):
+            for name in ("chunks", "draws", "batch", "near"):
+                np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+            assert (ours.solid, ours.triangles) == (theirs.solid, theirs.triangles)
+        drawn += int(numpy[0].draws[:, 0].sum())
+        left += int(numpy[1].draws[:, 0].sum())
+    assert 0 < left < drawn, "something must be drawn, and something hidden"
+
+
+def _pixels(rng: np.random.Generator) -> NDArray[np.float32]:
+    raw = rng.uniform(0.0, 1.0, (31, 47)).astype(np.float32)
+    raw[rng.random(raw.shape) < 0.2] = 0.0
+    raw[rng.random(raw.shape) < 0.2] *= np.float32(1e-4)
+    return raw
+
+
+def test_depths_and_positions_are_the_same() -> None:
+    rng = np.random.default_rng(0)
+    raw = _pixels(rng)
+    depths = [depth_of(raw, 0.05, 20.0, loops=loops) for loops in (False, True)]
+    assert np.isinf(depths[0]).any()
+    assert depths[0].tobytes() == depths[1].tobytes()
+    rays = rng.normal(size=(31, 47, 3)).astype(np.float32)
+    rays[0, 0] = np.nan
+    depths[0][0, 0] = np.inf
+    R, t = _rotation(rng).astype(np.float32), rng.normal(size=3).astype(np.float32)
+    places = [positions_of(rays, depths[0], R, t, loops=loops) for loops in (False, True)]
+    assert places[0].tobytes() == places[1].tobytes()
+
+
+def test_normals_are_the_same_in_both_frames_and_in_a_part_of_a_larger_image() -> None:
+    rng = np.random.default_rng(1)
+    raw = rng.integers(0, 65536, (31, 47, 4), dtype=np.uint16)
+    raw[rng.random(raw.shape[:2]) < 0.3] = 0
+    for part in (raw, raw[3:20, 5:33]):
+        normals = [normals_of(part, loops=loops) for loops in (False, True)]
+        assert normals[0].tobytes() == normals[1].tobytes()
+        R = _rotation(rng).astype(np.float32)
+        ours, theirs = (turned(R, normals[0], loops=loops) for loops in (False, True))
+        assert ours.tobytes() == theirs.tobytes()
