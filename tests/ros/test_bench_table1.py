@@ -25,14 +25,14 @@ ALONE = {
 
 
 def test_messages_alone_are_timed_for_every_row(ros_domain: int) -> None:
-    found = _exchanged({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **node_environment()})
+    found = _exchanged(node_environment(here_alone=True))
     assert set(found) == {mode.name for mode in MODES}
     assert all(ms > 0.0 for row in found.values() for ms in row.values())
 
 
 @pytest.mark.parametrize(("way", "drawn"), [(LOCKSTEP, True), (FREE, False)])
 def test_one_simulation_gives_all_its_rows(ros_domain: int, tmp_path: Path, way: str, drawn: bool) -> None:
-    environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **node_environment()}
+    environment = node_environment(here_alone=True)
     plan = Plan(scene="arena", frames=2, sensor_frames=2, seconds=0.3)
     robot = write_robot(tmp_path, (256, 256))
     rows = list(_over_ros(way, plan, environment, robot, 24, drawn, ALONE, EXCHANGED))

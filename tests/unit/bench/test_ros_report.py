@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from gibson_sim.bench.protocol import write_changed_robot
 from gibson_sim.bench.ros import (
     ClockCost,
     Pipeline,
@@ -130,7 +131,7 @@ def test_unknown_part_is_refused() -> None:
 
 
 def test_robot_of_the_bench_has_one_camera_of_the_wanted_size(tmp_path: Path) -> None:
-    path = cli.write_robot(tmp_path, Size(1280, 720))
+    path = write_changed_robot(tmp_path, (1280, 720))
     assert len(yaml.safe_load(path.read_text())["cameras"]) == 1
     cameras = load_robot(path).cameras
     assert [(camera.name, camera.width, camera.height) for camera in cameras] == [(cli.CAMERA, 1280, 720)]

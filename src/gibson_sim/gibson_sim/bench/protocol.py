@@ -52,13 +52,26 @@ class Plan:
 
 
 def write_robot(folder: Path, size: tuple[int, int]) -> Path:
-    """Writes the robot of the table into a folder: ours with one camera and no lidar; returns its file."""
+    """Writes the robot of the table into a folder: ours with one camera of 90 degrees and no lidar; returns its file."""
+    return write_changed_robot(folder, size, fov_y_deg=FOV_Y_DEG, lidar=False)
+
+
+def write_changed_robot(folder: Path, size: tuple[int, int], *, fov_y_deg: float | None = None, lidar: bool = True) -> Path:
+    """Writes our robot with other images into a folder; returns its file.
+
+    Args:
+        folder: where.
+        size: width and height of images, pixels.
+        fov_y_deg: degrees from top to bottom; None = its own.
+        lidar: whether it keeps its lidar.
+    """
     home = find_robot(ROBOT)
     settings = yaml.safe_load((home / "robot.yaml").read_text(encoding="utf-8"))
     settings["urdf"] = str((home / settings["urdf"]).resolve())
-    width, height = size
-    settings["cameras"] = [{**settings["cameras"][0], "width": width, "height": height, "fov_y_deg": FOV_Y_DEG}]
-    del settings["lidar"]
+    camera = {**settings["cameras"][0], "width": size[0], "height": size[1]}
+    settings["cameras"] = [camera if fov_y_deg is None else {**camera, "fov_y_deg": fov_y_deg}]
+    if not lidar:
+        del settings["lidar"]
     path = folder / "robot.yaml"
     path.write_text(yaml.safe_dump(settings), encoding="utf-8")
     return path

@@ -12,9 +12,10 @@ from typing import Any
 
 from gibson_sim.bench import timing
 from gibson_sim.bench.lockstep import STEP_HZ, Case, LockstepPlan, LockstepReport, alone, case_of, rate_of, targets
+from gibson_sim.bench.protocol import write_changed_robot
 from gibson_sim.bench.render_report import table
 from gibson_sim.bench.ros import Size, Spread
-from gibson_sim.cli.bench_processes import CAMERA, BenchError, answer, process, write_robot
+from gibson_sim.cli.bench_processes import CAMERA, BenchError, answer, process
 from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.quiet import quiet
 from gibson_sim.cli.report_file import add_report_options, tell, write_json
@@ -63,7 +64,7 @@ def measure(
         domain_id: ROS domain; None = as the environment says.
         tell: is told in one line what is going on.
     """
-    environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **node_environment(domain_id=domain_id)}
+    environment = node_environment(domain_id=domain_id, here_alone=True)
     report = LockstepReport(timing.now(), timing.version(), timing.machine(), timing.cores(), timing.load(), plan.scene)
     cases: list[Case] = []
     left_out: list[str] = []
@@ -71,7 +72,8 @@ def measure(
         name = f"{size} RGB + depth at every tick" if size else "no images"
         ticks = plan.image_ticks if size else plan.ticks
         with tempfile.TemporaryDirectory(prefix="gibson-sim-bench-") as folder:
-            robot = write_robot(Path(folder), size or _SMALLEST)
+            pixels = size or _SMALLEST
+            robot = write_changed_robot(Path(folder), (pixels.width, pixels.height))
             try:
                 tell(f"{name}: one process")
                 parts = alone(plan.scene, str(robot), size, ticks)

@@ -1,4 +1,4 @@
-"""What measurements that take several processes share: roles played by ``ros.bench_nodes``, and robots to play with."""
+"""What measurements that take several processes share: roles played by ``ros.bench_nodes``."""
 
 from __future__ import annotations
 
@@ -9,34 +9,17 @@ import sys
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
-import yaml
-
-from gibson_sim.bench.ros import Size
 from gibson_sim.errors import GibsonSimError
-from gibson_sim.resources import find_robot
 
 PATIENCE_S = 120.0
 """How much longer than it should a process may take before it is given up."""
-ROBOT, CAMERA = "gibson_bot", "camera"
+CAMERA = "camera"
 
 
 class BenchError(GibsonSimError):
     """A scenario came to nothing."""
-
-
-def write_robot(folder: Path, size: Size) -> Path:
-    """Writes our robot with images of another size into a folder; returns its file."""
-    original = find_robot(ROBOT)
-    settings = yaml.safe_load((original / "robot.yaml" if original.is_dir() else original).read_text(encoding="utf-8"))
-    home = original if original.is_dir() else original.parent
-    settings["urdf"] = str((home / settings["urdf"]).resolve())
-    settings["cameras"] = [{**settings["cameras"][0], "width": size.width, "height": size.height}]
-    path = folder / "robot.yaml"
-    path.write_text(yaml.safe_dump(settings), encoding="utf-8")
-    return path
 
 
 def _command(role: str, options: Mapping[str, Any]) -> list[str]:

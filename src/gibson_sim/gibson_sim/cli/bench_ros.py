@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.bench import timing
+from gibson_sim.bench.protocol import write_changed_robot
 from gibson_sim.bench.ros import (
     PARTS,
     ClockCost,
@@ -26,7 +27,7 @@ from gibson_sim.bench.ros import (
     spread,
 )
 from gibson_sim.bench.ros_report import report_text
-from gibson_sim.cli.bench_processes import CAMERA, BenchError, answer, process, role, write_robot
+from gibson_sim.cli.bench_processes import CAMERA, BenchError, answer, process, role
 from gibson_sim.cli.environment import RMW, domain_of, node_environment, require_nodes
 from gibson_sim.cli.report_file import add_report_options, chosen, tell, write_json
 from gibson_sim.cli.shared_memory import remove_dead_segments
@@ -84,7 +85,7 @@ def measure(plan: Plan, *, domain_id: int | None = None, tell: Tell = lambda lin
         AlreadyRunningError: a simulation runs in this domain; its /clock would be listened to.
     """
     # Nobody else is to hear this /clock, nor these images.
-    environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **node_environment(domain_id=domain_id)}
+    environment = node_environment(domain_id=domain_id, here_alone=True)
     report = Report(
         timing.now(), timing.version(), timing.machine(), timing.cores(), timing.load(), {"Python": _python(), **_versions()}
     )
@@ -163,7 +164,7 @@ def _clock(plan: Plan, environment: Mapping[str, str], who: Any) -> ClockCost:
 
 def _pipeline(plan: Plan, environment: Mapping[str, str], size: Size, hz: float) -> Pipeline:
     with tempfile.TemporaryDirectory(prefix="gibson-sim-bench-") as folder:
-        robot = write_robot(Path(folder), size)
+        robot = write_changed_robot(Path(folder), (size.width, size.height))
         options = ["--scene", plan.scene, "--robot", str(robot), "--camera-rate", f"{hz:g}", "--camera-outputs", "rgb,depth"]
         command = [sys.executable, "-m", "gibson_sim.cli.main", "run", *options]
         with process(command, environment):

@@ -74,7 +74,7 @@ def free_running(scene: str, seconds: float, domain_id: int | None, tell: Callab
     """
     from gibson_sim.bench.soak import Samples
 
-    environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **node_environment(domain_id=domain_id)}
+    environment = node_environment(domain_id=domain_id, here_alone=True)
     samples, interval = Samples(), max(INTERVAL_S, seconds / _LOOKS)
     with tempfile.TemporaryDirectory(prefix="gibson-sim-bench-") as logs:
         environment["ROS_LOG_DIR"] = logs

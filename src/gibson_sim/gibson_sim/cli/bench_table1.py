@@ -97,7 +97,7 @@ def measure(plan: Plan, *, domain_id: int | None = None, tell: Tell = lambda lin
         alone = {(row.mode, row.substeps): row for row in report.rows if row.substeps and row.to == HOST}
         rows, left_out = list(report.rows), []
         if over_ros:
-            environment = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", **node_environment(domain_id=domain_id)}
+            environment = node_environment(domain_id=domain_id, here_alone=True)
             try:
                 tell("messages alone")
                 exchanged = _exchanged(environment)

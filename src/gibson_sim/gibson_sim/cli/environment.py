@@ -28,8 +28,15 @@ def dds_profile() -> Path:
     return find_config("fastdds.xml")
 
 
-def node_environment(environment: Mapping[str, str] | None = None, *, domain_id: int | None = None) -> dict[str, str]:
+def node_environment(
+    environment: Mapping[str, str] | None = None, *, domain_id: int | None = None, here_alone: bool = False
+) -> dict[str, str]:
     """Returns the whole environment for a node process.
+
+    Args:
+        environment: to begin with; None = that of this process.
+        domain_id: of ROS; None = as the environment says.
+        here_alone: talk with processes on this machine alone, unless the environment says with whom.
 
     Raises:
         EnvironmentProblemError: the given environment cannot work.
@@ -44,6 +51,8 @@ def node_environment(environment: Mapping[str, str] | None = None, *, domain_id:
     base[PARENT_VARIABLE] = str(os.getpid())
     base.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "{severity} {message}")
     base.setdefault("RCUTILS_COLORIZED_OUTPUT", "0")
+    if here_alone:
+        base.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if domain_id is not None:
         base["ROS_DOMAIN_ID"] = str(domain_id)
     return base
