@@ -56,18 +56,20 @@ class Loop:
         self._commands = Commands(substeps)
 
     def step(self) -> None:
-        """Obeys the next command for a frame, and measures what is due."""
+        """Obeys the next command for a frame."""
         linear, angular = self._commands.next()
         world = self.world
         world.command(self._robot, VelocityCommand((linear, 0.0, 0.0), (0.0, 0.0, angular), world.stamp_ns))
         world.step(self._substeps)
-        self._sensors.measure(world, world.step_count, world.stamp_ns)
 
     def read(self) -> SceneState:
-        """Returns the poses of everything, having read what the robot knows of itself."""
+        """Returns the poses of everything, having measured what is due; in the order of the physics node."""
         world, name = self.world, self._robot
-        world.odometry(name), world.base_twist(name), world.joint_states(name)
-        return world.state()
+        world.odometry(name), world.base_twist(name)
+        state = world.state()
+        self._sensors.measure(world, world.step_count, world.stamp_ns)
+        world.joint_states(name)
+        return state
 
     def close(self) -> None:
         """Frees the engine."""
