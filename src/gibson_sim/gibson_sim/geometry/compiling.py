@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
+import numpy as np
+from numpy.typing import NDArray
+
 try:
-    from numba import njit
+    from numba import config, njit
 except ImportError:
     njit = None  # type: ignore[assignment]
 
+Number = TypeVar("Number", bound=np.generic)
 Function = TypeVar("Function", bound=Callable[..., Any])
-CAN_COMPILE: bool = njit is not None
+CAN_COMPILE: bool = njit is not None and not config.DISABLE_JIT  # type: ignore[attr-defined]
 """Whether ``compiled`` compiles. If not, NumPy is far quicker than loops: callers have the same in NumPy, which must give equal results."""
 
 
@@ -24,5 +28,14 @@ def compiled(function: Function) -> Function:
         return function
     try:
         return cast(Function, njit(cache=True, nogil=True, error_model="numpy")(function))
-    except RuntimeError:  # neither beside the module nor in the user's cache can anything be kept: it is compiled anew in every process
+    except (
+        RuntimeError
+    ):  # neither beside the module nor in the user's cache can anything be kept: it is compiled anew in every process
         return cast(Function, njit(nogil=True, error_model="numpy")(function))
+
+
+def fixed(values: NDArray[Number]) -> NDArray[Number]:
+    """Returns an array that cannot be written to, without gaps: loops are compiled anew for every kind of array that they meet."""
+    view = np.ascontiguousarray(values).view()
+    view.flags.writeable = False
+    return view

@@ -82,8 +82,8 @@ class Levels(NamedTuple):
 
 
 @compiled
-def nearest_first(eyes: F64, groups: Groups, chunks: Chunks, link_box: F64, planes: F64, detail: Detail) -> I64:
-    """Returns the chunks that stand for all triangles inside an image, the nearest first.
+def chosen(eyes: F64, groups: Groups, chunks: Chunks, link_box: F64, planes: F64, detail: Detail) -> tuple[I64, F64]:
+    """Returns the chunks, ascending, that stand for all triangles inside an image, (N,), and how far they are, (N,), metres.
 
     Args:
         eyes: (L, 3), the eye in the world and in each link, metres.
@@ -114,7 +114,7 @@ def nearest_first(eyes: F64, groups: Groups, chunks: Chunks, link_box: F64, plan
             continue
         found[n], far[n] = c, _distance(eyes[link], chunks.box[c])
         n += 1
-    return found[:n][np.argsort(far[:n], kind="mergesort")]
+    return found[:n], far[:n]
 
 
 @compiled
@@ -146,21 +146,29 @@ def drawing_order(
         The place in ``chunks`` of each draw; how many of them, the first ones, are solid; the nearest chunks without holes, about
         ``near_part`` of all triangles; and the number of all triangles.
     """
-    n = len(chunks)
-    rank, key = np.zeros(len(cut), dtype=np.int64), np.empty(n, dtype=np.int64)
+    n, total = len(chunks), 0
+    first, size = np.full(len(cut), -1, dtype=np.int64), np.zeros(len(cut), dtype=np.int64)
     for i in range(n - 1, -1, -1):
-        rank[batch_of[chunks[i]]] = i
-    total = 0
-    for i in range(n):
         batch = batch_of[chunks[i]]
-        key[i] = rank[batch] + n if cut[batch] else rank[batch]
+        first[batch] = i
+        if has_solid[chunks[i]]:
+            size[batch] += 1
         total += int(chunk_count[chunks[i]])
     total //= 3
-    every, near, drawn, indices, kept = np.empty(2 * n, dtype=np.int64), np.empty(n, dtype=np.int64), 0, 0, 0
-    for i in np.argsort(key, kind="mergesort"):
+    # The order of batches is that of their first chunk, but what has holes comes after what has none.
+    begin, drawn = np.zeros(len(cut), dtype=np.int64), 0
+    for with_holes in (False, True):
+        for i in range(n):
+            batch = batch_of[chunks[i]]
+            if first[batch] == i and cut[batch] == with_holes:
+                begin[batch] = drawn
+                drawn += size[batch]
+    every, near, indices, kept = np.empty(2 * n, dtype=np.int64), np.empty(n, dtype=np.int64), 0, 0
+    for i in range(n):
         if has_solid[chunks[i]]:
-            every[drawn] = i
-            drawn += 1
+            batch = batch_of[chunks[i]]
+            every[begin[batch]] = i
+            begin[batch] += 1
     solid = drawn
     for i in range(n - 1, -1, -1):
         if has_back[chunks[i]]:
@@ -180,39 +188,28 @@ def drawing_order(
 def depth_pyramid(depth: F32) -> Levels:
     """Returns the levels of ``occlusion.DepthPyramid`` for a depth image, (H, W)."""
     height, width = depth.shape
-    square = SQUARE
-    rows, columns = (height + square - 1) // square, (width + square - 1) // square
-    sizes, levels = rows * columns, 1
+    rows, columns, size, levels = (height + SQUARE - 1) // SQUARE, (width + SQUARE - 1) // SQUARE, 1, 1
     r, c = rows, columns
     while r * c > 1:
-        r, c = (r + 1) // 2, (c + 1) // 2
-        sizes += r * c
-        levels += 1
-    values = np.empty(sizes, dtype=np.float32)
-    firsts, widths = np.empty(levels, dtype=np.int64), np.empty(levels, dtype=np.int64)
-    firsts[0], widths[0] = 0, columns
-    least = np.empty(width, dtype=np.float32)
-    for row in range(rows):
-        least[:] = depth[row * square]
-        for y in range(row * square + 1, min((row + 1) * square, height)):
-            for x in range(width):
-                least[x] = depth[y, x] if depth[y, x] < least[x] else least[x]
-        for column in range(columns):
-            value = least[column * square]
-            for x in range(column * square + 1, min((column + 1) * square, width)):
-                value = least[x] if least[x] < value else value
-            values[row * columns + column] = value
+        size += r * c
+        r, c, levels = (r + 1) // 2, (c + 1) // 2, levels + 1
+    values = np.full(size, np.inf, dtype=np.float32)
+    firsts, widths = np.zeros(levels, dtype=np.int64), np.empty(levels, dtype=np.int64)
+    widths[0] = columns
+    for v in range(height):
+        row = v // SQUARE * columns
+        for u in range(width):
+            at = row + u // SQUARE
+            if depth[v, u] < values[at]:
+                values[at] = depth[v, u]
     for level in range(1, levels):
-        source = values[firsts[level - 1] : firsts[level - 1] + rows * columns].reshape(rows, columns)
-        first, r, c = firsts[level - 1] + rows * columns, (rows + 1) // 2, (columns + 1) // 2
-        for y in range(r):
-            for x in range(c):
-                value = source[2 * y, 2 * x]
-                for v in range(2 * y, min(2 * y + 2, rows)):
-                    for u in range(2 * x, min(2 * x + 2, columns)):
-                        value = source[v, u] if source[v, u] < value else value
-                values[first + y * c + x] = value
-        firsts[level], widths[level], rows, columns = first, c, r, c
+        finer, here, width = firsts[level - 1], firsts[level - 1] + rows * columns, (columns + 1) // 2
+        for v in range(rows):
+            for u in range(columns):
+                at, value = here + v // 2 * width + u // 2, values[finer + v * columns + u]
+                if value < values[at]:
+                    values[at] = value
+        firsts[level], widths[level], rows, columns = here, width, (rows + 1) // 2, width
     return Levels(values, firsts, widths)
 
 
@@ -267,7 +264,8 @@ def without_hidden(
             ):
                 found[last, 0] += count
                 continue
-            found[n] = draws[i]
+            for k in range(5):
+                found[n, k] = draws[i, k]
             found[n, 0], found[n, 2] = count, first
             found_chunk[n], found_batch[n], last = chunk, batch[i], n
             n += 1

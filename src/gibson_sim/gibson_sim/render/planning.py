@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.geometry.compiling import CAN_COMPILE
+from gibson_sim.geometry.compiling import CAN_COMPILE, fixed
 from gibson_sim.geometry.projections import clip_from_optical, frustum_planes
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.render import choosing
@@ -186,7 +186,7 @@ class Planner:
         batch = self._visibility.batch_of
         if self._loops:
             every, solid, near, total = choosing.drawing_order(
-                chunks, batch, self._cut, self._has_solid, self._has_back, self._b.chunk_count, _NEAR_PART
+                chunks, batch, self._cut, self._has_solid, self._has_back, fixed(self._b.chunk_count), _NEAR_PART
             )
         else:
             every, solid, near, total = self._order(chunks, batch[chunks])
@@ -258,10 +258,10 @@ class CompiledLook:
             plan.draws,
             plan.solid,
             self._pieces.table,
-            self._b.chunk_link,
+            fixed(self._b.chunk_link),
             pixels_from_links(plan.T_camera_links, p.intrinsics),
             Shown(float(p.width), float(p.height), float(p.near)),
-            choosing.depth_pyramid(depth),
+            choosing.depth_pyramid(fixed(depth)),
         )
         return replace(plan, chunks=chunks, draws=draws, batch=batch, solid=solid)
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.geometry.compiling import CAN_COMPILE, compiled
+from gibson_sim.geometry.compiling import CAN_COMPILE, compiled, fixed
 
 F32 = NDArray[np.float32]
 U16 = NDArray[np.uint16]
@@ -26,7 +26,7 @@ def depth_of(raw: F32, near: float, far: float, *, loops: bool = CAN_COMPILE) ->
     """
     nearest, least = np.float32(near), np.float32(near) / np.float32(far)
     if loops:
-        return _depth_loop(raw, nearest, least)
+        return _depth_loop(fixed(raw), nearest, least)
     with np.errstate(divide="ignore"):
         depth: F32 = nearest / raw
     # Few images show anything beyond: to look is quicker than to choose for each pixel.
@@ -48,7 +48,7 @@ def _depth_loop(raw: F32, near: np.float32, least: np.float32) -> F32:
 def normals_of(raw: U16, *, loops: bool = CAN_COMPILE) -> F32:
     """Returns unit normals, (H, W, 3), 0 = nothing, of fractions, (H, W, 4), the last one 0 = nothing."""
     if loops:
-        return _normals_loop(raw)
+        return _normals_loop(fixed(raw))
     # One conversion, then arithmetic in place: half the time of a multiplication that converts.
     normals = cv2.cvtColor(raw, cv2.COLOR_RGBA2RGB).astype(np.float32)
     normals *= UNIT
@@ -73,7 +73,7 @@ def _normals_loop(raw: U16) -> F32:
 def turned(R: F32, vectors: F32, *, loops: bool = CAN_COMPILE) -> F32:
     """Returns ``R v`` of vectors, (H, W, 3), float32, summed from left to right: what a GPU computes, to the bit."""
     if loops:
-        return _turned_loop(R, vectors)
+        return _turned_loop(fixed(R), fixed(vectors))
     x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
     out = np.empty_like(vectors)
     for i in range(3):
@@ -104,7 +104,7 @@ def positions_of(rays: F32, depth: F32, R: F32, t: F32, *, loops: bool = CAN_COM
         loops: by compiled loops.
     """
     if loops:
-        return _positions_loop(rays, depth, R, t)
+        return _positions_loop(fixed(rays), fixed(depth), fixed(R), fixed(t))
     with np.errstate(invalid="ignore"):  # 0 times infinity: straight ahead, and nothing there
         seen = rays * depth[:, :, None]
     position = turned(R, seen, loops=False) + t

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.geometry.compiling import fixed
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.render import choosing
 from gibson_sim.render.batches import Batches
@@ -32,8 +33,9 @@ class Visibility:
         self._group_moves = bool((batches.group_link > 0).any())
         self._chunk_moves = bool((batches.chunk_link > 0).any())
         self._link_box = _link_boxes(batches.chunk_link, batches.chunk_box)
-        self._groups = Groups(batches.group_error, batches.group_box, batches.group_link)
-        self._chunks = Chunks(batches.chunk_group, batches.chunk_next_group, batches.chunk_box, batches.chunk_link)
+        b = batches
+        self._groups = Groups(fixed(b.group_error), fixed(b.group_box), fixed(b.group_link))
+        self._chunks = Chunks(fixed(b.chunk_group), fixed(b.chunk_next_group), fixed(b.chunk_box), fixed(b.chunk_link))
 
     def choose(self, eyes: F64, detail: Detail) -> I64:
         """Returns the chunks, ascending, that stand for all triangles at a distance.
@@ -85,7 +87,8 @@ class Visibility:
         """
         of_links = planes @ T_camera_links[: len(self._link_box)]
         if loops:
-            return choosing.nearest_first(eyes, self._groups, self._chunks, self._link_box, of_links, detail)
+            chunks, distances = choosing.chosen(eyes, self._groups, self._chunks, self._link_box, of_links, detail)
+            return chunks[np.argsort(distances, kind="stable")]
         chunks = self.choose(eyes, detail)
         chunks = chunks[self._inside(chunks, of_links)]
         eye = eyes[self._b.chunk_link[chunks]] if self._chunk_moves else eyes[0]
