@@ -25,6 +25,7 @@ from geometry_msgs.msg import Twist, TwistStamped  # noqa: E402
 from nav_msgs.msg import Odometry  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data  # noqa: E402
 from rosbags.highlevel import AnyReader  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Image, JointState, LaserScan  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
@@ -261,6 +262,16 @@ def test_record_beside_a_running_simulation_ends_after_its_duration(sim: Launche
     assert set(counts) == {"/odom", "/clock", "/camera/camera_info"}
     assert 0 < counts["/odom"] <= 310, "five seconds at 60 Hz, less what passed until the topic was found"
     assert 4.5 < seconds < 5.1
+
+
+@pytest.mark.parametrize("name", ["physics", "render"])
+def test_node_that_is_asked_says_where_it_is_and_goes_on(sim: Launched, listener: Listener, name: str) -> None:
+    lines = len(sim.lines)
+    os.kill(sim.node_pid(name), signal.SIGUSR1)
+    assert sim.wait_for_line("most recent call first", after=lines).startswith(name)
+    clocks = listener.collect(Clock, "/clock", qos_profile_sensor_data)
+    listener.spin_until(lambda: len(clocks) > 1, "time that goes on")
+    assert sim.process.poll() is None
 
 
 def test_render_node_that_is_killed_comes_back_and_images_go_on(sim: Launched, listener: Listener) -> None:
