@@ -141,3 +141,20 @@ def test_it_is_as_it_was_after_a_reset(arm_bot: RobotSpec, world: PhysicsWorld) 
     assert positions(world)["elbow_flex_joint"] == pytest.approx(1.72)
     world.step(60)
     assert positions(world)["elbow_flex_joint"] == pytest.approx(1.72, abs=1e-3)
+
+
+def test_the_base_keeps_its_heading_while_the_stretched_arm_swings_and_stops_at_once(
+    arm_bot: RobotSpec, make_scene: MakeScene
+) -> None:
+    with PhysicsWorld(make_scene(posed(arm_bot, "stretched"))) as world:
+        for goal in (-1.3, 1.3):
+            at = positions(world)["shoulder_pan_joint"]
+            while abs(at - goal) > 1e-9:
+                # As a script does it: a little on, ten times a second, so that the arm goes at full speed until its end.
+                at += max(-0.12, min(0.12, goal - at))
+                world.command_joints("robot", JointPositions((at,), ("shoulder_pan_joint",)))
+                world.step(24)
+            world.step(120)
+            _, _, z, w = world.base_pose("robot").quat_xyzw
+            assert abs(2.0 * math.atan2(z, w)) < math.radians(0.2)
+            assert tilt(world) < 2e-3

@@ -200,12 +200,12 @@ def test_who_fumbles_moves_arm_and_hand_within_limits(arena: Ground) -> None:
     assert len({action.joints["elbow_flex_joint"] for action in actions}) == len(actions)
 
 
-@pytest.mark.parametrize(("task", "seed"), [(NearPick(), 3), (NearCabinet(), 5)], ids=["pick and place", "cabinet door"])
+@pytest.mark.parametrize(("task", "seed"), [(NearPick(), 30), (NearCabinet(), 35)], ids=["pick and place", "cabinet door"])
 def test_the_script_succeeds_without_bumping_into_walls(run: TaskRun, task: Task, seed: int) -> None:
     run.task = task
     found = run_episode(run, seed, "scripted")
     assert found.success and found.collisions == 0
-    assert found.goal_distance <= NEAR
+    assert found.goal_distance < NEAR / 2.0
 
 
 def test_tasks_with_an_arm_can_be_measured() -> None:

@@ -16,7 +16,7 @@ from gibson_sim.tasks.doors import DoorChange, HingedDoor, backing_way, changed_
 from gibson_sim.tasks.doorways import doorway, leaf_outline, with_bodies
 from gibson_sim.tasks.episode import View, item_body
 from gibson_sim.tasks.ground import Ground, ground_of
-from gibson_sim.tasks.open_door import DAMPINGS, HANDLE_HEIGHTS, OPEN, OpenDoor, episode_door
+from gibson_sim.tasks.open_door import DAMPINGS, FRICTIONS, HANDLE_HEIGHTS, OPEN, OpenDoor, episode_door
 from gibson_sim.tasks.run import TaskRun, run_episode
 from gibson_sim.types import Pose
 
@@ -64,12 +64,13 @@ def test_the_opening_is_the_angle_between_the_leaf_and_the_closed_leaf() -> None
 
 def test_a_changed_door_has_another_handle_and_hinge_and_its_meshes() -> None:
     model = _body("door_90_right").model
-    text = changed_door(model.path, DoorChange(handle_height=0.95, damping=4.0, handle_friction=0.31))
+    text = changed_door(model.path, DoorChange(handle_height=0.95, damping=4.0, friction=1.5, handle_friction=0.31))
     body = load_spawnable("", text, name="changed", pose=Pose())
     assert isinstance(body, BodySpec)
     door = hinged_door(body)
     assert door is not None and door.handle_z == pytest.approx(0.95)
-    assert next(joint for joint in body.model.joints if joint.name == "hinge").damping == 4.0
+    hinge = next(joint for joint in body.model.joints if joint.name == "hinge")
+    assert (hinge.damping, hinge.friction) == (4.0, 1.5)
     assert body.model.link("handle").friction == 0.31
     meshes = [Path(visual.shape.mesh) for link in body.model.links for visual in link.visuals if visual.shape.kind == "mesh"]
     assert len(meshes) == 2 and all(mesh.is_file() for mesh in meshes)
@@ -111,8 +112,8 @@ def test_episodes_in_a_home_close_one_of_its_doors_and_differ_by_seed(home: Grou
     assert first.removed == ("bedroom_1_door",) and first.items[0].name == "door"
     door = episode_door(first)
     assert HANDLE_HEIGHTS[0] < door.handle_z < HANDLE_HEIGHTS[1] and door.handle_z != episode_door(other).handle_z
-    damping = next(joint.damping for joint in item_body(first.items[0]).model.joints if joint.name == "hinge")
-    assert DAMPINGS[0] < damping < DAMPINGS[1]
+    hinge = next(joint for joint in item_body(first.items[0]).model.joints if joint.name == "hinge")
+    assert DAMPINGS[0] < hinge.damping < DAMPINGS[1] and FRICTIONS[0] < hinge.friction < FRICTIONS[1]
     assert first.goal.position is not None
     sides = door.away(np.array([first.start.position[:2], first.goal.position[:2]]))
     assert sides[0] > 0.8 and sides[1] < -0.8

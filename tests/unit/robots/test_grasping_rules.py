@@ -46,6 +46,11 @@ def test_command_closes_opens_or_neither(command: JointCommand, move: str) -> No
     assert gripper_move(CLAW, command, AT) == move
 
 
+@pytest.mark.parametrize(("at", "wanted", "move"), [(0.83, 0.8, "stays"), (-0.03, 0.0, "stays"), (0.83, 0.7, "opens")])
+def test_a_finger_that_is_pressed_beyond_its_end_does_not_open_the_hand(at: float, wanted: float, move: str) -> None:
+    assert gripper_move(CLAW, JointPositions((wanted,), ("claw",)), {"claw": at}) == move
+
+
 def test_handles_come_first_then_what_is_nearest_then_the_name() -> None:
     door, knob, cup, jar = (
         Candidate("d", "leaf", 0.01),

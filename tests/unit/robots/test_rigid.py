@@ -70,6 +70,15 @@ def test_link_with_its_own_rolling_friction_is_a_group_of_its_own_and_keeps_it_f
     assert [link.rolling_friction for link in read_urdf(again).links] == [0.0, 0.002]
 
 
+def test_link_with_soft_contacts_is_a_group_of_its_own_and_keeps_them_for_the_engine(tmp_path: Path) -> None:
+    soft = '<contact><stiffness value="1000"/><damping value="20"/></contact>'
+    model = read_urdf(write(tmp_path, BALL + soft + MASS.format(kg=1, i=0.1)))
+    groups, _ = rigid_groups(model)
+    again = tmp_path / "again.urdf"
+    again.write_text(physics_urdf(model, groups))
+    assert [(link.stiffness, link.contact_damping) for link in read_urdf(again).links] == [(0.0, 0.0), (1000.0, 20.0)]
+
+
 def test_root_that_nothing_moves_needs_no_mass(tmp_path: Path) -> None:
     model = read_urdf(write(tmp_path, MASS.format(kg=1, i=0.1), "continuous"))
     massless = replace(

@@ -68,6 +68,14 @@ def test_frictions_of_a_link_are_read(read: Read) -> None:
         read(link('<contact><rolling_friction value="-1"/></contact>'))
 
 
+def test_stiffness_of_a_link_and_friction_of_a_joint_are_read(read: Read) -> None:
+    (found,) = read(link('<contact><stiffness value="1e6"/><damping value="1e4"/></contact>')).links
+    assert (found.stiffness, found.contact_damping) == (1e6, 1e4)
+    got = read(TWO_LINKS + joint(kind="revolute", inside='<dynamics damping="0.5" friction="1.5"/>')).joint("j")
+    assert (got.damping, got.friction) == (0.5, 1.5)
+    assert read(TWO_LINKS + joint(kind="revolute")).joint("j").friction == 0.0
+
+
 def test_shapes_and_sizes(read: Read) -> None:
     shapes = '<box size="1 2 3"/>', '<sphere radius="4"/>', '<cylinder radius="5" length="6"/>'
     model = read(link("".join(f"<collision><geometry>{shape}</geometry></collision>" for shape in shapes)))

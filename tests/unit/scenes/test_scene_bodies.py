@@ -25,9 +25,9 @@ CABINET = """
   <link name="door"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
   <link name="drawer"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
   <joint name="hinge" type="revolute"><parent link="body"/><child link="door"/><origin xyz="0.2 0.2 0"/><axis xyz="0 0 1"/>
-    <limit lower="0" upper="1.5707963" effort="1" velocity="1"/><dynamics damping="0.5"/></joint>
+    <limit lower="0" upper="1.5707963" effort="1" velocity="1"/><dynamics damping="0.5" friction="1.5"/></joint>
   <joint name="slide" type="prismatic"><parent link="body"/><child link="drawer"/><axis xyz="1 0 0"/>
-    <limit lower="0" upper="0.3" effort="1" velocity="1"/><dynamics damping="2"/></joint>
+    <limit lower="0" upper="0.3" effort="1" velocity="1"/><dynamics damping="2" friction="3"/></joint>
 </robot>
 """
 
@@ -102,6 +102,7 @@ def test_scale_makes_a_body_larger_at_the_same_density() -> None:
     assert model.joint("hinge").pose.position == (0.4, 0.4, 0.0)
     assert model.joint("hinge").upper == 1.5707963
     assert (model.joint("slide").upper, model.joint("slide").damping) == (0.6, 16.0)
+    assert (model.joint("hinge").friction, model.joint("slide").friction) == (48.0, 48.0)
 
 
 @pytest.mark.parametrize(

@@ -59,9 +59,10 @@ def test_root_is_first_and_child_is_where_its_pose_says(tmp_path: Path) -> None:
 
 def test_limits_and_dynamics_are_read(tmp_path: Path) -> None:
     more = "<limit><lower>-1</lower><upper>2</upper><effort>5</effort><velocity>3</velocity></limit>"
-    more += "<dynamics><damping>0.25</damping></dynamics>"
+    more += "<dynamics><damping>0.25</damping><friction>1.5</friction></dynamics>"
     got = _read(tmp_path, TWO + _joint(inside=_axis("0 2 0", more))).model.joint("j")
-    assert (got.kind, got.lower, got.upper, got.effort, got.velocity, got.damping) == ("revolute", -1.0, 2.0, 5.0, 3.0, 0.25)
+    assert (got.kind, got.lower, got.upper, got.effort, got.velocity) == ("revolute", -1.0, 2.0, 5.0, 3.0)
+    assert (got.damping, got.friction) == (0.25, 1.5)
     assert got.axis == pytest.approx((0.0, 1.0, 0.0))
 
 

@@ -11,6 +11,7 @@ import pytest
 from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.robots.load import load_robot
+from gibson_sim.tasks.arm_scripts import drive
 from gibson_sim.tasks.controls import Controls
 from gibson_sim.tasks.driving import Driver
 from gibson_sim.tasks.episode import Episode, Goal, Item, View, item_root, view_of
@@ -74,6 +75,10 @@ def test_who_does_not_push_stands_before_the_boxes(arena: Ground) -> None:
     action = careful.act(view)
     assert (action.linear, action.angular) == (0.0, 0.0)
     assert isinstance(careful, Driver) and careful.blocked
+    # A script that does not wait for a way gives up there.
+    with pytest.raises(StopIteration):
+        next(drive(view, careful, waits=False))
+    assert next(drive(view, careful)).linear == 0.0
 
 
 def test_what_is_searched_is_hidden_at_first_and_its_place_is_not_told(arena: Ground) -> None:

@@ -46,7 +46,9 @@ def add_parser(subparsers: Any) -> None:
         "--scene", default=DEFAULT_SCENE, help=f"name or path of a scene with doors, or arena (default: {DEFAULT_SCENE})"
     )
     parser.add_argument("--robot", default="arm_bot", help="name or path of a robot with an arm and a camera (default: arm_bot)")
-    parser.add_argument("--seed", type=int, default=0, help="of start, door, height of the handle and damping (default: 0)")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="of start, door, height of the handle, damping and friction (default: 0)"
+    )
     parser.add_argument(
         "--out", type=Path, default=Path("open_door"), metavar="DIR", help="folder to write to (default: open_door)"
     )

@@ -85,8 +85,14 @@ class BodyInWorld:
     def _ready_motors(self, bullet: Bullet) -> None:
         """A body without motors: doors and drawers swing freely, slowed by what friction and damping its joints have."""
         for joint in self.model.joints:
-            if joint.kind in ("revolute", "prismatic", "continuous") and joint.damping:
-                bullet.damp_joint(self.body, self.body.joint_indices[joint.name], joint.damping)
+            if joint.kind not in ("revolute", "prismatic", "continuous"):
+                continue
+            index = self.body.joint_indices[joint.name]
+            if joint.damping:
+                bullet.damp_joint(self.body, index, joint.damping)
+            if joint.friction:
+                # A weak motor that wants to stand still is what dry friction is.
+                bullet.drive_joints(self.body, [index], [0.0], [joint.friction])
 
     def command_joints(self, bullet: Bullet, command: JointCommand, now_ns: int) -> None:
         """Obeys ``command`` from the next step on; see ``JointMotors.command``."""

@@ -36,6 +36,7 @@ class JointMotors:
         self._body = body
         self._control = JointControl(joints, others)
         self._efforts = {joint.name: joint.effort or _HOLD_EFFORT for joint in joints} | dict(efforts or {})
+        self._friction = {joint.name: joint.friction for joint in joints}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -80,8 +81,10 @@ class JointMotors:
         positions = dict(zip(names, bullet.joint_angles(self._body, self._indices(names)), strict=True))
         targets = self._control.step(now_ns, round(dt * NS_PER_S), positions)
         if targets.speeds:
-            efforts = [targets.efforts.get(name, self._efforts[name]) for name in targets.speeds]
-            bullet.drive_joints(self._body, self._indices(targets.speeds), list(targets.speeds.values()), efforts)
+            told = [self._rubbed(name, speed, targets.efforts.get(name)) for name, speed in targets.speeds.items()]
+            bullet.drive_joints(
+                self._body, self._indices(targets.speeds), [speed for speed, _ in told], [most for _, most in told]
+            )
         if targets.held:
             self.hold(bullet, targets.held, targets.efforts)
 
@@ -89,6 +92,13 @@ class JointMotors:
         """Lets motors hold joints at positions, radians or metres, with at most ``limits`` (N m or N) where they are given."""
         efforts = [(limits or {}).get(name, self._efforts[name]) for name in positions]
         bullet.hold_joints(self._body, self._indices(positions), list(positions.values()), efforts)
+
+    def _rubbed(self, name: str, speed: float, effort: float | None) -> tuple[float, float]:
+        """Returns speed and greatest effort of a motor whose ``effort`` was set: friction takes its part, and holds what pushes less."""
+        if effort is None:
+            return speed, self._efforts[name]
+        left = effort - self._friction[name]
+        return (speed, left) if left > 0.0 else (0.0, -left)
 
     def _indices(self, names: Iterable[str]) -> list[int]:
         return [self._body.joint_indices[name] for name in names]

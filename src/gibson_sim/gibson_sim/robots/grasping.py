@@ -103,11 +103,14 @@ def gripper_move(gripper: GripperSpec, command: JointCommand, positions: Mapping
         rows = command.efforts if isinstance(command, JointEfforts) else command.velocities
     wanted = dict(zip(command.names or tuple(positions), rows, strict=False))
     span = gripper.closed - gripper.open
+    low, high = sorted((gripper.open, gripper.closed))
     for joint in gripper.joints:
         if joint in wanted:
             speeds = isinstance(command, (JointVelocities, JointEfforts))
+            # What presses a finger beyond its end does not open the hand: it is told to close all the same.
+            now = min(max(positions[joint], low), high)
             # A speed has no end: any is enough.
-            change = math.copysign(1.0, span) * wanted[joint] if speeds else (wanted[joint] - positions[joint]) / span
+            change = math.copysign(1.0, span) * wanted[joint] if speeds else (wanted[joint] - now) / span
             least = 0.0 if speeds else _SMALL_MOVE
             return "closes" if change > least else "opens" if change < -least else "stays"
     return "stays"

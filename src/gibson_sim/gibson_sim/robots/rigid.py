@@ -50,6 +50,8 @@ class RigidGroup:
     friction: float | None = None
     rolling_friction: float = 0.0
     spinning_friction: float = 0.0
+    stiffness: float = 0.0
+    contact_damping: float = 0.0
     mass: float = 0.0
     """kg."""
     center: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
@@ -61,7 +63,7 @@ class RigidGroup:
 def rigid_groups(model: UrdfModel, *, fixed_root: bool = False) -> tuple[tuple[RigidGroup, ...], tuple[str, ...]]:
     """Returns (groups, warnings): the root's group first, parents before children.
 
-    A fixed link with its own friction stays a group, because friction belongs to a whole link in the engine.
+    A fixed link with its own friction or stiffness stays a group, because these belong to a whole link in the engine.
 
     Args:
         model: the links.
@@ -78,7 +80,7 @@ def rigid_groups(model: UrdfModel, *, fixed_root: bool = False) -> tuple[tuple[R
             T_group_link: Mat4 = np.eye(4)
         else:
             T_group_link = above.members[joint.parent] @ matrix_from_pose(joint.pose)
-            if joint.kind == "fixed" and _same_friction(above, link):
+            if joint.kind == "fixed" and _same_contact(above, link):
                 group = above
             elif joint.kind in (*MOVING_TYPES, "fixed"):
                 group = _group(link, joint, above.name, T_group_link)
@@ -108,8 +110,16 @@ def _check_count(model: UrdfModel, joints: list[UrdfJoint]) -> None:
 def _group(link: UrdfLink, joint: UrdfJoint | None, parent: str = "", T_parent_group: Mat4 | None = None) -> RigidGroup:
     """Returns the group that begins with a link."""
     at = np.eye(4) if T_parent_group is None else T_parent_group
-    rolling, spinning = link.rolling_friction, link.spinning_friction
-    return RigidGroup(link.name, joint, parent, at, friction=link.friction, rolling_friction=rolling, spinning_friction=spinning)
+    group = RigidGroup(link.name, joint, parent, at)
+    _take_contact(group, link)
+    return group
+
+
+def _take_contact(group: RigidGroup, link: UrdfLink) -> None:
+    """Lets the group's surface be that of a link."""
+    group.friction = link.friction
+    group.rolling_friction, group.spinning_friction = link.rolling_friction, link.spinning_friction
+    group.stiffness, group.contact_damping = link.stiffness, link.contact_damping
 
 
 def physics_urdf(model: UrdfModel, groups: tuple[RigidGroup, ...], *, concave: bool = False) -> str:
@@ -125,6 +135,9 @@ def physics_urdf(model: UrdfModel, groups: tuple[RigidGroup, ...], *, concave: b
         for key, value in (("rolling_friction", group.rolling_friction), ("spinning_friction", group.spinning_friction)):
             if value:
                 ET.SubElement(contact, key, value=_text(value))
+        if group.stiffness:  # the engine takes both or none
+            ET.SubElement(contact, "stiffness", value=_text(group.stiffness))
+            ET.SubElement(contact, "damping", value=_text(group.contact_damping))
         inertial = ET.SubElement(link, "inertial")
         ET.SubElement(inertial, "origin", xyz=_text(*group.center), rpy="0 0 0")
         ET.SubElement(inertial, "mass", value=_text(group.mass))
@@ -141,16 +154,16 @@ def physics_urdf(model: UrdfModel, groups: tuple[RigidGroup, ...], *, concave: b
     return ET.tostring(robot, encoding="unicode")
 
 
-def _same_friction(group: RigidGroup, link: UrdfLink) -> bool:
-    """Returns whether the link's shapes can join the group's; the first shapes of a group decide its friction."""
+def _same_contact(group: RigidGroup, link: UrdfLink) -> bool:
+    """Returns whether the link's shapes can join the group's; the first shapes of a group decide its friction and stiffness."""
     if not link.collisions:
         return True
     if not group.collisions:
-        group.friction = link.friction
-        group.rolling_friction, group.spinning_friction = link.rolling_friction, link.spinning_friction
-    rolling = (link.rolling_friction, link.spinning_friction)
+        _take_contact(group, link)
+    rolling, soft = (link.rolling_friction, link.spinning_friction), (link.stiffness, link.contact_damping)
     same_rolling = rolling in ((0.0, 0.0), (group.rolling_friction, group.spinning_friction))
-    return (link.friction is None or link.friction == group.friction) and same_rolling
+    same_soft = soft[0] == 0.0 or soft == (group.stiffness, group.contact_damping)
+    return (link.friction is None or link.friction == group.friction) and same_rolling and same_soft
 
 
 def _add(group: RigidGroup, link: UrdfLink, T_group_link: Mat4) -> None:

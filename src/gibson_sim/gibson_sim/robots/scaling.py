@@ -13,7 +13,7 @@ from gibson_sim.types import Pose, Vec3
 def scaled_model(model: UrdfModel, factor: float) -> UrdfModel:
     """Returns the model with all lengths times ``factor`` and its density as it was: mass grows with the third power.
 
-    What slides does so by ``factor`` times as far; angles stay. Damping grows with mass and inertia, so things come to rest as before.
+    What slides does so by ``factor`` times as far; angles stay. Damping and friction grow with mass and inertia, so things come to rest as before.
     """
     if factor == 1.0:
         return model
@@ -39,9 +39,11 @@ def _joint(joint: UrdfJoint, factor: float, leads: dict[str, float]) -> UrdfJoin
     along = leads[joint.name]
     # N s/m of a slide goes with the mass, N m s/rad of a hinge with the inertia.
     damping = joint.damping * factor ** (3 if joint.kind == "prismatic" else 5)
-    pose = _pose(joint.pose, factor)
+    # N of a slide goes with the mass and the way, N m of a hinge with the inertia.
+    friction = joint.friction * factor ** (4 if joint.kind == "prismatic" else 5)
+    pose, lower, upper = _pose(joint.pose, factor), joint.lower * along, joint.upper * along
     return replace(
-        joint, pose=pose, lower=joint.lower * along, upper=joint.upper * along, damping=damping, mimic=_mimic(joint, along, leads)
+        joint, pose=pose, lower=lower, upper=upper, damping=damping, mimic=_mimic(joint, along, leads), friction=friction
     )
 
 

@@ -162,6 +162,7 @@ class _Reader(XmlValues):
             name, tuple(visuals), tuple(collisions), self.inertial(element.find("inertial"), where),
             None if friction is None else self.numbers(friction, "value", 1, where)[0],
             self.contact(element, "rolling_friction", where), self.contact(element, "spinning_friction", where),
+            self.contact(element, "stiffness", where), self.contact(element, "damping", where),
         )  # fmt: skip
 
     def contact(self, element: ET.Element, key: str, where: str) -> float:
@@ -189,7 +190,8 @@ class _Reader(XmlValues):
         if kind != "fixed" and length < 1e-9:
             raise RobotError(f"{self.path}: {where} has axis (0, 0, 0), which is no direction")
         unit = (axis[0] / length, axis[1] / length, axis[2] / length) if length > 1e-9 else (1.0, 0.0, 0.0)
-        limit, damping = element.find("limit"), element.find("dynamics")
+        limit, dynamics = element.find("limit"), element.find("dynamics")
+        damping, friction = (0.0 if dynamics is None else self.optional(dynamics, key, where) for key in ("damping", "friction"))
         lower, upper, effort, velocity = 0.0, -1.0, 0.0, 0.0
         if limit is not None:
             effort = self.optional(limit, "effort", where)
@@ -200,7 +202,7 @@ class _Reader(XmlValues):
                 lower, upper = self.optional(limit, "lower", where), self.optional(limit, "upper", where)
         return UrdfJoint(
             name, kind, ends[0], ends[1], self.origin(element, where), unit, lower, upper, effort, velocity,
-            0.0 if damping is None else self.optional(damping, "damping", where), self.mimic(element.find("mimic"), kind, where),
+            damping, self.mimic(element.find("mimic"), kind, where), friction,
         )  # fmt: skip
 
     def mimic(self, element: ET.Element | None, kind: str, where: str) -> Mimic | None:

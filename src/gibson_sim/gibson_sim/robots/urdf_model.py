@@ -64,6 +64,10 @@ class UrdfLink:
     """Metres: what holds a round link back, from ``<rolling_friction value=""/>`` beside it."""
     spinning_friction: float = 0.0
     """Metres: the same about the normal of a contact, from ``<spinning_friction value=""/>``."""
+    stiffness: float = 0.0
+    """N/m of its contacts, from ``<stiffness value=""/>``: what stands on soft and on hard points stands on the hard ones first; 0 = hard."""
+    contact_damping: float = 0.0
+    """N s/m of its contacts, from ``<damping value=""/>`` beside that."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +91,11 @@ class UrdfJoint:
     velocity: float = 0.0
     """rad/s or m/s; 0 = not given."""
     damping: float = 0.0
+    """N m s/rad or N s/m."""
     mimic: Mimic | None = None
     """What it follows; None = it moves by itself."""
+    friction: float = 0.0
+    """N m or N that hold it back while nobody drives it."""
 
     @property
     def is_bounded(self) -> bool:

@@ -83,7 +83,8 @@ def _check_joint(where: str, joint: UrdfJoint) -> None:
     if joint.kind not in (*MOVING_TYPES, "fixed"):
         raise SceneError(f"{where}: type {joint.kind} is not simulated; use {', '.join(MOVING_TYPES)} or fixed")
     _check_place(where, joint.pose)
-    for name in ("lower", "upper", "effort", "velocity", "damping"):
+    for name in ("lower", "upper", "effort", "velocity", "damping", "friction"):
         value = getattr(joint, name)
-        if not math.isfinite(value) or (name == "damping" and value < 0.0):
-            raise SceneError(f"{where}: {name} is {value:g}, must be a finite number{', 0 or more' if name == 'damping' else ''}")
+        slows = name in ("damping", "friction")
+        if not math.isfinite(value) or (slows and value < 0.0):
+            raise SceneError(f"{where}: {name} is {value:g}, must be a finite number{', 0 or more' if slows else ''}")

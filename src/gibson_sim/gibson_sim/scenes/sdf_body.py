@@ -289,7 +289,7 @@ class _Tree:
         self.joints.append(
             UrdfJoint(
                 name, axis.kind, parent, child, self._pose(parent, child), (x, y, z),
-                axis.lower, axis.upper, axis.effort, axis.velocity, axis.damping,
+                axis.lower, axis.upper, axis.effort, axis.velocity, axis.damping, friction=axis.friction,
             )
         )  # fmt: skip
 

@@ -31,6 +31,7 @@ class JointAxis:
     effort: float = 0.0
     velocity: float = 0.0
     damping: float = 0.0
+    friction: float = 0.0
 
     def in_model_frame(self, version: tuple[int, ...]) -> bool:
         """Returns whether the axis is in the frame of the model: asked for, or written in SDF 1.4 or older."""
@@ -69,7 +70,7 @@ def joint_axis(element: Element, name: str, builder: SceneBuilder) -> JointAxis:
         lower, upper = 0.0, -1.0
     lower, upper = max(lower, -_ENDLESS), min(upper, _ENDLESS)
     effort, velocity = (_number(axis, f"limit/{key}", 0.0, where, builder) for key in ("effort", "velocity"))
-    damping = _number(axis, "dynamics/damping", 0.0, where, builder)
+    damping, friction = (_number(axis, f"dynamics/{key}", 0.0, where, builder) for key in ("damping", "friction"))
     return JointAxis(
         kind,
         (values[0] / length, values[1] / length, values[2] / length),
@@ -81,6 +82,7 @@ def joint_axis(element: Element, name: str, builder: SceneBuilder) -> JointAxis:
         effort if 0.0 < effort < _ENDLESS else 0.0,
         velocity if 0.0 < velocity < _ENDLESS else 0.0,
         damping if math.isfinite(damping) else 0.0,
+        friction if math.isfinite(friction) else 0.0,
     )
 
 

@@ -139,8 +139,16 @@ class Arm:
             step = inverse @ (np.array([x, y, z]) - T_base_tool[:3, 3])
             step += 0.1 * free @ (np.array([wish[name] for name in self.joints]) - joints)
             joints = joints + np.clip(step, -JOINT_STEP / LEANS, JOINT_STEP / LEANS)
-        within = {name: self._limits.get(name, (-math.inf, math.inf)) for name in self.joints}
-        return {name: min(max(q, within[name][0]), within[name][1]) for name, q in zip(self.joints, joints.tolist(), strict=True)}
+        return self._within(dict(zip(self.joints, joints.tolist(), strict=True)))
+
+    def still(self, view: View) -> dict[str, float]:
+        """Returns the joints of the arm where they are now."""
+        return self._within({name: view.joints[name] for name in self.joints})
+
+    def _within(self, joints: Mapping[str, float]) -> dict[str, float]:
+        """Returns the joints, each no farther than its limit."""
+        limits = {name: self._limits.get(name, (-math.inf, math.inf)) for name in joints}
+        return {name: min(max(position, limits[name][0]), limits[name][1]) for name, position in joints.items()}
 
     def move(
         self,
@@ -214,10 +222,10 @@ def wait(view: View, seconds: float, action: Action) -> Steps:
     return view
 
 
-def drive(view: View, driver: Driver, grasp: bool | None = None, longest: float = 60.0) -> Steps:
-    """Lets a driver drive until it is there."""
+def drive(view: View, driver: Driver, grasp: bool | None = None, longest: float = 60.0, *, waits: bool = True) -> Steps:
+    """Lets a driver drive until it is there; where there is no way it waits for one, or gives up."""
     until = view.time + longest
-    while not driver.done(view) and view.time < until:
+    while not driver.done(view) and view.time < until and (waits or not driver.blocked):
         action = driver.act(view)
         view = yield Action(action.linear, action.angular, grasp=grasp)
     return view

@@ -23,8 +23,8 @@ F64 = NDArray[np.float64]
 XY = tuple[float, float]
 REACH = 0.66
 """Metres from the base to the tool, straight ahead, where a robot takes a handle."""
-WIDE = math.radians(95.0)
-"""How far a robot pulls a door that has the room."""
+WIDE = math.radians(86.0)
+"""How far a robot pulls a door that has the room: at 90 degrees the simulation lets go by itself, in the middle of the pull."""
 PULL_SPEED = 0.12
 """Speed at which it pulls the handle, m/s."""
 LEAVE = 0.3
@@ -173,6 +173,8 @@ class DoorChange:
     """Metres above the root."""
     damping: float
     """Of the hinge, N m s/rad."""
+    friction: float
+    """Of the hinge, N m."""
     handle_friction: float
     """Coefficient of the handle's surface."""
 
@@ -196,7 +198,8 @@ def changed_door(urdf: Path, change: DoorChange) -> str:
     x, y, _ = (origin.get("xyz") or "0 0 0").split()
     origin.set("xyz", f"{x} {y} {change.handle_height:.5f}")
     hinge = joints[_end(joints[handle], "parent")]
-    _part(hinge, "dynamics").set("damping", f"{change.damping:.5f}")
+    for key, value in (("damping", change.damping), ("friction", change.friction)):
+        _part(hinge, "dynamics").set(key, f"{value:.5f}")
     link = next(element for element in top.iter("link") if element.get("name") == handle)
     _part(_part(link, "contact"), "lateral_friction").set("value", f"{change.handle_friction:.5f}")
     link.append(ElementTree.fromstring(_PLATE))

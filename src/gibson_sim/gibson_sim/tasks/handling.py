@@ -94,7 +94,7 @@ def grip(item: Item, view: View) -> Vec3:
 
 
 def take_from_above(view: View, arm: Arm, item: Item, lift: float) -> Steps:
-    """Takes a thing and lifts it by ``lift`` metres."""
+    """Takes a thing and lifts it by ``lift`` metres; a hand that got hold of something else lets go of that and comes up empty."""
     rotation = downwards(view, item)
     x, y, z = grip(item, view)
     above = arm.reaching(view, (x, y, z + ABOVE), rotation)
@@ -102,8 +102,11 @@ def take_from_above(view: View, arm: Arm, item: Item, lift: float) -> Steps:
         view = yield from arm.move(view, above, False, tolerance=0.01)
     view = yield from arm.straight(view, grip(item, view), rotation, False)
     view = yield from wait(view, CLOSES_S, Action(grasp=True))
+    right = view.held in ("", item.name)
+    if not right:
+        view = yield from wait(view, CLOSES_S, Action(grasp=False))
     # What bears the arm lifts straight up; the arm does the rest.
     z = arm.tool(view).position[2] + lift
-    view = yield from arm.move(view, arm.rise(view, lift), True, tolerance=0.01)
+    view = yield from arm.move(view, arm.rise(view, lift), right, tolerance=0.01)
     x, y, now = arm.tool(view).position
-    return (yield from arm.straight(view, (x, y, max(z, now)), rotation, True))
+    return (yield from arm.straight(view, (x, y, max(z, now)), rotation, right))

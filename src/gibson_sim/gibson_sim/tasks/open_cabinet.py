@@ -46,12 +46,14 @@ _SHORT = {True: 0.014, False: 0.045}
 """Metres from the middle of a bar to the tool: the finger tips are 3 cm ahead of it, a drawer's front 2.4 cm behind the bar. A door turns
 against the hand, so that its bar must not be between the fingers.
 """
-_PULLED = {True: 0.29, False: math.radians(85.0)}
+_PULLED = {True: 0.29, False: math.radians(87.0)}
 """How far a script opens."""
 _PULL = 0.10
 """Speed of the handle, m/s."""
 _LEAD = 0.07
 """Radians that the hand may be ahead of a door."""
+_ASIDE = 0.06
+"""Metres that the hand goes away from a door while it lets go."""
 _FETCH = 0.72
 """Metres from the base to a thing on a shelf where the hand takes it."""
 _TRIES = 3
@@ -196,7 +198,7 @@ class _Fetcher:
             if self._part.opening(view) < self._part.enough:
                 view = yield from self._take_handle(view)
                 view = yield from (self._draw(view) if self._part.slides else self._swing(view))
-                view = yield from wait(view, 1.0, Action(grasp=False))
+                view = yield from (wait(view, 1.0, Action(grasp=False)) if self._part.slides else self._leave_door(view))
                 view = yield from creep(view, -0.25, grasp=False)
             if self._part.opening(view) >= self._part.enough:
                 # The arm turned the base a little as it pulled; beside an open door there is not much room.
@@ -249,13 +251,20 @@ class _Fetcher:
             view = yield Action(joints=told, grasp=True)
         return view
 
+    def _leave_door(self, view: View) -> Steps:
+        """Lets go and draws the hand aside from the open door: its fingers, as they open, would push the door back."""
+        outwards = self._part.pose(view)[:3, 0]
+        x, y, z = (np.array(self._arm.tool(view).position) + _ASIDE * outwards).tolist()
+        view = yield from self._arm.straight(view, (x, y, z), self._level, False, speed=0.1)
+        return (yield from wait(view, 0.5, Action(grasp=False)))
+
     def _from_drawer(self, view: View) -> Steps:
         """Takes the thing from above, lifts it out, and backs up."""
         up = self._part.low + _DRAWER_HIGH
         view = yield from ready(view, self._arm, up + 0.12, downwards(view), False, low=grip(self._thing, view)[2])
         view = yield from come_near(view, self._cabinet, 0.33, False, beyond=self._part.opening(view))
         view = yield from take_from_above(view, self._arm, self._thing, up + CLEAR + 0.03 - middle(self._thing, view)[2])
-        return (yield from creep(view, -0.25, grasp=True))
+        return (yield from creep(view, -0.25, grasp=view.held == THING))
 
     def _from_shelf(self, view: View) -> Steps:
         """Takes the thing from the front, and backs up."""

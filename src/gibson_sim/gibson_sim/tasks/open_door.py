@@ -42,7 +42,9 @@ HANDLE_HEIGHTS = (0.92, 1.10)
 """Metres above the floor."""
 DAMPINGS = (1.0, 5.0)
 """Of hinges, N m s/rad."""
-FRICTIONS = (0.3, 0.6)
+FRICTIONS = (0.2, 2.0)
+"""Of hinges, N m."""
+HANDLE_FRICTIONS = (0.3, 0.6)
 """Coefficients of handles."""
 _LEAD = 0.07
 """Radians that the hand may be ahead of the door: the arm is stiff, and more tears the hand off."""
@@ -50,6 +52,8 @@ _FARTHER = 0.3
 """Metres behind the place where it takes the handle, at which it unfolds its arm."""
 _PATIENCE_S = 2.5
 """So long the arm may take for a small movement."""
+_RELAXES_S = 0.5
+"""Seconds that it holds still before it lets go."""
 _FOLDED = (0.42, 0.95)
 """Metres before the base and above the floor, where the hand is on its way to be tucked in."""
 _TRIES = 3
@@ -69,7 +73,7 @@ class OpenDoor(Task):
         """Returns the episode of a seed; see ``Task.generate``."""
         rng = generator(self, seed)
         body, model, pose = self._hung(ground, rng)
-        values = [float(rng.uniform(*span)) for span in (HANDLE_HEIGHTS, DAMPINGS, FRICTIONS)]
+        values = [float(rng.uniform(*span)) for span in (HANDLE_HEIGHTS, DAMPINGS, FRICTIONS, HANDLE_FRICTIONS)]
         text = changed_door(item_body(Item(DOOR, model, pose)).model.path, DoorChange(*values))
         others = {other.name for other in ground.scene.bodies} - {body}
         name = next(name for name in (DOOR, *(f"{DOOR}_{k}" for k in range(2, len(others) + 3))) if name not in others)
@@ -219,7 +223,10 @@ class _Opener:
         return view
 
     def _let_go(self, view: View) -> Steps:
-        """Opens the hand, backs away, and folds the arm: first straight back, so that it knocks at nothing."""
+        """Lets the arm relax, opens the hand, backs away, and folds the arm: first straight back, so that it knocks at nothing."""
+        if view.held:
+            # A hand that lets go while it pulls springs back against the handle, and the door swings shut.
+            view = yield from wait(view, _RELAXES_S, Action(joints=self._arm.still(view), grasp=True))
         view = yield from wait(view, 0.6, Action(grasp=False))
         view = yield from creep(view, -LEAVE)
         folded = self._arm.reaching(view, self._ahead(view, _FOLDED[0], view.base.position[2] + _FOLDED[1]))
@@ -228,7 +235,7 @@ class _Opener:
         return (yield from self._arm.move(view, self._arm.named("tucked")))
 
     def _through(self, view: View) -> Steps:
-        """Drives to the goal."""
+        """Drives to the goal; a door that is not open wide enough for it has to be opened anew."""
         goal = self._episode.goal.position
         assert goal is not None
-        return (yield from drive(view, self._driver(view, goal[:2], RADIUS - 0.05), longest=90.0))
+        return (yield from drive(view, self._driver(view, goal[:2], RADIUS - 0.05), longest=90.0, waits=False))

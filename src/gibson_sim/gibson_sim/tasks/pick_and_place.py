@@ -49,6 +49,8 @@ APART = 0.15
 """Metres between both places, at least."""
 _OVER = 0.08
 """Metres from the top of a thing that stands there to a hand that comes."""
+_NEAREST = 0.46
+"""Metres from the base to a place: nearer, an arm that points down does not reach it."""
 _TRIES = 3
 """Times that a script begins anew."""
 
@@ -145,7 +147,7 @@ class _Porter:
             source = min(self._every, key=lambda one: math.dist(one.item.pose.position, middle(self._thing, view)))
             view = yield from self._before(view, source, False)
             view = yield from take_from_above(view, self._arm, self._thing, ABOVE + 0.05)
-            if view.held:
+            if view.held == THING:
                 if source is not self._every[-1]:
                     view = yield from creep(view, -REACHING, grasp=True)
                     view = yield from self._before(view, self._every[-1], True)
@@ -166,6 +168,9 @@ class _Porter:
 
     def _put(self, view: View) -> Steps:
         """Lowers the thing to its place, and lets go."""
+        ahead, _ = view.in_base(self._goal[:2])
+        if ahead < _NEAREST:
+            view = yield from creep(view, ahead - _NEAREST, grasp=True)
         rotation = downwards(view)
         # Twice above it: on the way the thing may turn a little in the hand.
         for up, speed in ((0.05, 0.15), (0.05, 0.15), (0.003, 0.06)):
