@@ -71,7 +71,8 @@ def test_the_husky_drives_as_commanded(root: Path, make_scene: MakeScene, linear
     assert husky.drive.wheel_separation == pytest.approx(0.5708 * 1.875)  # type: ignore[union-attr]
     with PhysicsWorld(make_scene(husky)) as world:
         assert moved(world, linear, angular) == pytest.approx((linear, angular), rel=0.02, abs=0.002)
-        assert abs(world.base_pose("robot").position[2]) < 1e-3
+        # Its file says that its wheels give way: 30 kN/m each, under 46 kg.
+        assert world.base_pose("robot").position[2] == pytest.approx(-0.0025, abs=0.0015)
 
 
 def test_the_husky_is_drawn_from_meshes_that_are_there(root: Path) -> None:
