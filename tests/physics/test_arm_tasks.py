@@ -160,7 +160,7 @@ def test_a_thing_is_placed_where_it_rests_within_3_cm_and_is_let_go(
 
 def test_both_places_are_apart_and_on_surfaces(arena: Ground) -> None:
     task = PickAndPlace()
-    for seed in range(4):
+    for seed in (0, 1, 2, 3, 200):  # of the last one the first place drawn has no other one on its small table
         episode = task.generate(seed, arena)
         thing, goal = episode.items[-1], episode.goal.position
         assert goal is not None

@@ -72,7 +72,10 @@ class PickAndPlace(ArmTask):
             if start is None:
                 continue
             model = THINGS[int(rng.integers(len(THINGS)))]
-            place, goal = _places(rng, furniture)
+            places = _places(rng, furniture)
+            if places is None:
+                continue
+            place, goal = places
             thing = lying(THING, model, place, float(rng.uniform(-math.pi, math.pi)))
             kind = item_body(thing).semantic_class
             text = f"Put the {kind.replace('_', ' ')} to x = {goal[0]:.2f} m, y = {goal[1]:.2f} m, z = {goal[2]:.2f} m."
@@ -110,13 +113,16 @@ def _furniture(ground: Ground, rng: np.random.Generator) -> tuple[Furniture, ...
     return tuple(found)
 
 
-def _places(rng: np.random.Generator, furniture: Sequence[Furniture]) -> tuple[Vec3, Vec3]:
-    """Returns where the thing stands and where it shall stand, world metres."""
-    first = _place(rng, furniture[0])
-    while True:
-        second = _place(rng, furniture[-1])
-        if math.dist(first, second) >= APART:
-            return first, second
+def _places(rng: np.random.Generator, furniture: Sequence[Furniture]) -> tuple[Vec3, Vec3] | None:
+    """Returns where the thing stands and where it shall stand, world metres; None where both found no room."""
+    for _ in range(TRIES):
+        first = _place(rng, furniture[0])
+        # From the middle of a small surface nothing on it is far enough away.
+        for _ in range(TRIES):
+            second = _place(rng, furniture[-1])
+            if math.dist(first, second) >= APART:
+                return first, second
+    return None
 
 
 def _place(rng: np.random.Generator, one: Furniture) -> Vec3:
