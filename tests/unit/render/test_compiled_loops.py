@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -14,11 +16,15 @@ from gibson_sim.render.planning import VIEW, Picture, Plan, Planner
 from gibson_sim.render.unpacking import depth_of, normals_of, positions_of, turned
 from gibson_sim.render.visibility import Visibility
 from gibson_sim.robots.spec import Shape, VisualSpec
+from gibson_sim.scenes.mesh_types import Mesh
 from gibson_sim.scenes.primitives import primitive_mesh
 from gibson_sim.types import Pose, Rgba
+from support.surfaces import bumpy_sphere, detail_from
 
 if not CAN_COMPILE:
-    pytest.skip("SKIPPED: no Numba in this Python, so there is nothing to compare", allow_module_level=True)
+    message = "SKIPPED: no Numba in this Python, so there is nothing to compare; run `make setup`"
+    warnings.warn(message, stacklevel=1)
+    pytest.skip(message, allow_module_level=True)
 
 K = np.array([[40.0, 0.0, 31.5], [0.0, 42.0, 23.5], [0.0, 0.0, 1.0]])
 COLORS: tuple[Rgba, ...] = ((0.5, 0.5, 0.5, 1.0), (0.2, 0.4, 0.9, 0.4))
@@ -32,14 +38,17 @@ def _rotation(rng: np.random.Generator) -> NDArray[np.float64]:
 def _batches(rng: np.random.Generator, links: tuple[str, ...]) -> Batches:
     """Boxes and balls, some of glass, some on links, in several levels of detail."""
     shapes = (Shape("box", (0.8, 0.6, 1.5)), Shape("sphere", (0.4, 0.4, 0.4)))
-
+    ball = Mesh((bumpy_sphere(40, 0.4),))
     visuals = tuple(
         VisualSpec(
             f"v{k}", str(rng.choice(["", *links])), shapes[k % 2], Pose(tuple(rng.uniform(-4, 4, 3))), COLORS[int(k % 5 == 0)]
         )
         for k in range(40)
     )
-    return build_batches(visuals, links, primitive_mesh, coarser=True)
+    with detail_from(1):
+        batches = build_batches(visuals, links, lambda shape: ball if shape.kind == "sphere" else primitive_mesh(shape))
+    assert len(batches.group_error) > 10, "balls have coarser levels"
+    return batches
 
 
 def _plans(planner: Planner, rng: np.random.Generator, links: int) -> list[tuple[Plan, Plan]]:
@@ -75,6 +84,9 @@ def test_plans_are_the_same(links: tuple[str, ...], detail_px: float, cull: bool
         drawn += int(numpy[0].draws[:, 0].sum())
         left += int(numpy[1].draws[:, 0].sum())
     assert 0 < left < drawn, "something must be drawn, and something hidden"
+    finest = batches.chunk_group < 0
+    coarse = [bool((~finest[plan.chunks]).any()) for plan, _ in pairs[1]]
+    assert any(coarse) == (detail_px > 0.0), "coarser chunks are drawn where they may be, and there alone"
 
 
 def _pixels(rng: np.random.Generator) -> NDArray[np.float32]:

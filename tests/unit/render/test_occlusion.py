@@ -8,13 +8,14 @@ from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.transforms import matrix_from_quat
-from gibson_sim.render.choosing import SQUARE
+from gibson_sim.render.choosing import SQUARE, PieceTable, Shown, depth_pyramid, without_hidden
 from gibson_sim.render.occlusion import DepthPyramid, Outlines, pixels_from_links
 
 NEAR = 0.05
 K = np.array([[40.0, 1.5, 24.2], [0.0, 43.0, 15.7], [0.0, 0.0, 1.0]])
 """Of an image of 50 x 33 pixels."""
 WIDTH, HEIGHT = 50, 33
+BOTH = pytest.mark.parametrize("loops", [False, True], ids=["NumPy", "loops"])
 CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64)
 
 
@@ -48,11 +49,22 @@ def test_the_bound_of_a_single_pixel_is_the_least_of_its_square() -> None:
     np.testing.assert_array_equal(DepthPyramid(depth).least(x, y, x, y), squares)
 
 
-def _hidden(depth: NDArray[np.float32], boxes: NDArray[np.float64], *T_camera_box: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Returns which boxes are hidden; they have one pose, or each its own."""
+def _hidden(
+    loops: bool, depth: NDArray[np.float32], boxes: NDArray[np.float64], *T_camera_box: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Returns which boxes are hidden, as NumPy says or the loops; they have one pose, or each its own."""
     pixels = pixels_from_links(np.stack(T_camera_box), K)
-    outlines = Outlines(boxes, np.broadcast_to(pixels, (len(boxes), 3, 4)), (WIDTH, HEIGHT), NEAR)
-    return outlines.hidden(DepthPyramid(depth))
+    n = len(boxes)
+    if not loops:
+        return Outlines(boxes, np.broadcast_to(pixels, (n, 3, 4)), (WIDTH, HEIGHT), NEAR).hidden(DepthPyramid(depth))
+    every, link = np.arange(n), np.arange(n) if len(pixels) == n else np.zeros(n, dtype=np.int64)
+    # Each box is a chunk of one piece, and none goes on where the one before ends.
+    draws, span = np.zeros((n, 5), dtype=np.uint32), np.stack([np.full(n, 3), 100 * every], axis=1).astype(np.uint32)
+    pieces, shown = PieceTable(every, np.ones(n, dtype=np.int64), boxes, span), Shown(float(WIDTH), float(HEIGHT), NEAR)
+    seen, *_ = without_hidden(every, np.zeros(n, dtype=np.int64), draws, n, pieces, link, pixels, shown, depth_pyramid(depth))
+    covered = np.ones(n, dtype=bool)
+    covered[seen] = False
+    return covered
 
 
 def _pose(rng: np.random.Generator) -> NDArray[np.float64]:
@@ -84,17 +96,19 @@ def _seen(depth: NDArray[np.float32], box: NDArray[np.float64], T: NDArray[np.fl
         return bool(((first <= leave) & (NEAR / first > depth)).any())
 
 
+@BOTH
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_a_box_that_a_pixel_would_show_is_never_called_hidden(seed: int) -> None:
+def test_a_box_that_a_pixel_would_show_is_never_called_hidden(loops: bool, seed: int) -> None:
     rng = np.random.default_rng(seed)
     depth, T = _blocks(rng), _pose(rng)
     boxes = np.concatenate([rng.uniform(-4, 4, (40, 3)), rng.uniform(0.01, 1.0, (40, 3)) ** 2], axis=1)
-    for box, covered in zip(boxes, _hidden(depth, boxes, T), strict=True):
+    for box, covered in zip(boxes, _hidden(loops, depth, boxes, T), strict=True):
         assert not (covered and _seen(depth, box, T))
 
 
-def test_most_of_what_cannot_be_seen_is_found() -> None:
+@BOTH
+def test_most_of_what_cannot_be_seen_is_found(loops: bool) -> None:
     # Else "never hidden" would pass the test above.
     rng = np.random.default_rng(5)
     found, unseen = 0, 0
@@ -102,13 +116,14 @@ def test_most_of_what_cannot_be_seen_is_found() -> None:
         depth, T = _blocks(rng), _pose(rng)
         boxes = np.concatenate([rng.uniform(-4, 4, (40, 3)), np.full((40, 3), 0.1)], axis=1)
         ahead = (boxes[:, :3] @ T[:3, :3].T + T[:3, 3])[:, 2] > 0.5
-        covered = _hidden(depth, boxes, T)[ahead]
+        covered = _hidden(loops, depth, boxes, T)[ahead]
         found += covered.sum()
         unseen += sum(not _seen(depth, box, T) for box in boxes[ahead])
     assert unseen > 200
     assert found > 0.9 * unseen
 
 
+@BOTH
 @pytest.mark.parametrize(
     ("centre", "expected"),
     [
@@ -120,22 +135,24 @@ def test_most_of_what_cannot_be_seen_is_found() -> None:
         ((60.0, 0.0, 3.0), True),  # beside the image
     ],
 )
-def test_a_wall_hides_what_is_behind_it(centre: tuple[float, float, float], expected: bool) -> None:
+def test_a_wall_hides_what_is_behind_it(loops: bool, centre: tuple[float, float, float], expected: bool) -> None:
     wall = np.full((HEIGHT, WIDTH), NEAR / 2.0, dtype=np.float32)
     box = np.array([[*centre, 0.1, 0.1, 0.1]])
-    assert _hidden(wall, box, np.eye(4)).tolist() == [expected]
+    assert _hidden(loops, wall, box, np.eye(4)).tolist() == [expected]
 
 
-def test_one_open_pixel_shows_what_is_behind_the_wall() -> None:
+@BOTH
+def test_one_open_pixel_shows_what_is_behind_the_wall(loops: bool) -> None:
     wall = np.full((HEIGHT, WIDTH), NEAR / 2.0, dtype=np.float32)
     box = np.array([[0.0, 0.0, 4.0, 0.1, 0.1, 0.1]])
     wall[16, 24] = 0.0  # (0, 0, z) is at (24.2, 15.7)
-    assert not _hidden(wall, box, np.eye(4))[0]
+    assert not _hidden(loops, wall, box, np.eye(4))[0]
 
 
-def test_each_box_may_have_a_pose_of_its_own() -> None:
+@BOTH
+def test_each_box_may_have_a_pose_of_its_own(loops: bool) -> None:
     wall = np.full((HEIGHT, WIDTH), NEAR / 2.0, dtype=np.float32)
     far, near = np.eye(4), np.eye(4)
     far[2, 3], near[2, 3] = 3.0, 1.0
     boxes = np.array([[0.0, 0.0, 0.0, 0.1, 0.1, 0.1]] * 2)
-    assert _hidden(wall, boxes, far, near).tolist() == [True, False]
+    assert _hidden(loops, wall, boxes, far, near).tolist() == [True, False]

@@ -28,9 +28,8 @@ def compiled(function: Function) -> Function:
         return function
     try:
         return cast(Function, njit(cache=True, nogil=True, error_model="numpy")(function))
-    except (
-        RuntimeError
-    ):  # neither beside the module nor in the user's cache can anything be kept: it is compiled anew in every process
+    except RuntimeError:
+        # Neither beside the module nor in the user's cache can anything be kept: it is compiled anew in every process.
         return cast(Function, njit(nogil=True, error_model="numpy")(function))
 
 

@@ -1,6 +1,6 @@
 """What ``visibility``, ``planning``, ``pieces`` and ``occlusion`` do in NumPy, as loops that are compiled: for the few hundred chunks of a
-picture NumPy's calls take far longer than the arithmetic. Results are equal, to the bit (the tests compare
-them), but for what is called hidden: there they may differ by a rounding, where no pixel depends on it.
+picture NumPy's calls take far longer than the arithmetic. Results are equal, to the bit (the tests compare them), but for what is called
+hidden: there they may differ by a rounding, where no pixel depends on it.
 """
 
 from __future__ import annotations

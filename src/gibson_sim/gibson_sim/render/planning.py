@@ -149,6 +149,7 @@ class Planner:
     ) -> None:
         self._b, self._visibility, self._detail_px, self._cull, self._loops = batches, visibility, detail_px, cull, loops
         self._table, self._pieces = draw_table(batches, batches.chunk_first, batches.chunk_count), Pieces(batches)
+        self._counts = fixed(batches.chunk_count)
         kinds = [batch.kind for batch in batches.batches]
         self._cut = np.array([kind != "opaque" for kind in kinds], dtype=bool)
         self._has_solid, self._has_back = _what_shines_through(batches)
@@ -186,7 +187,7 @@ class Planner:
         batch = self._visibility.batch_of
         if self._loops:
             every, solid, near, total = choosing.drawing_order(
-                chunks, batch, self._cut, self._has_solid, self._has_back, fixed(self._b.chunk_count), _NEAR_PART
+                chunks, batch, self._cut, self._has_solid, self._has_back, self._counts, _NEAR_PART
             )
         else:
             every, solid, near, total = self._order(chunks, batch[chunks])
@@ -209,7 +210,9 @@ class Planner:
 
     def looks(self, plans: Sequence[Plan]) -> list[Look]:
         """Returns, of each plan, what finds out which parts of it are hidden; it does what can be done before there is a depth image."""
-        return [CompiledLook(plan, self._b, self._pieces) if self._loops else self.pieces(plan) for plan in plans]
+        return [
+            CompiledLook(plan, self._visibility.chunks.link, self._pieces) if self._loops else self.pieces(plan) for plan in plans
+        ]
 
     def pieces(self, plan: Plan) -> NumpyLook:
         """Returns the plan cut into smaller draws, and where each of them lies."""
@@ -245,8 +248,8 @@ class NumpyLook:
 class CompiledLook:
     """The same by compiled loops, which need no preparation but that the pieces are known."""
 
-    def __init__(self, plan: Plan, batches: Batches, pieces: Pieces) -> None:
-        self._plan, self._b, self._pieces = plan, batches, pieces
+    def __init__(self, plan: Plan, chunk_link: I64, pieces: Pieces) -> None:
+        self._plan, self._chunk_link, self._pieces = plan, chunk_link, pieces
         pieces.prepare(plan.chunks)
 
     def unhidden(self, depth: F32) -> Plan:
@@ -258,7 +261,7 @@ class CompiledLook:
             plan.draws,
             plan.solid,
             self._pieces.table,
-            fixed(self._b.chunk_link),
+            self._chunk_link,
             pixels_from_links(plan.T_camera_links, p.intrinsics),
             Shown(float(p.width), float(p.height), float(p.near)),
             choosing.depth_pyramid(fixed(depth)),

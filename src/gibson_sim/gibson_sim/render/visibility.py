@@ -35,7 +35,8 @@ class Visibility:
         self._link_box = _link_boxes(batches.chunk_link, batches.chunk_box)
         b = batches
         self._groups = Groups(fixed(b.group_error), fixed(b.group_box), fixed(b.group_link))
-        self._chunks = Chunks(fixed(b.chunk_group), fixed(b.chunk_next_group), fixed(b.chunk_box), fixed(b.chunk_link))
+        self.chunks = Chunks(fixed(b.chunk_group), fixed(b.chunk_next_group), fixed(b.chunk_box), fixed(b.chunk_link))
+        """All chunks, as loops take them."""
 
     def choose(self, eyes: F64, detail: Detail) -> I64:
         """Returns the chunks, ascending, that stand for all triangles at a distance.
@@ -87,7 +88,7 @@ class Visibility:
         """
         of_links = planes @ T_camera_links[: len(self._link_box)]
         if loops:
-            chunks, distances = choosing.chosen(eyes, self._groups, self._chunks, self._link_box, of_links, detail)
+            chunks, distances = choosing.chosen(eyes, self._groups, self.chunks, self._link_box, of_links, detail)
             return chunks[np.argsort(distances, kind="stable")]
         chunks = self.choose(eyes, detail)
         chunks = chunks[self._inside(chunks, of_links)]

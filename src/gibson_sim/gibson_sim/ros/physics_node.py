@@ -67,7 +67,7 @@ class PhysicsNode(Node):
         """Loads the scene. ``kwargs`` go to ``rclpy.node.Node`` (``parameter_overrides`` in tests).
 
         Raises:
-            GibsonSimError: a setting, the scene or a robot cannot be used, or another simulation publishes /clock.
+            GibsonSimError: a setting, the scene or a robot cannot be used, or another simulation runs in this domain.
         """
         super().__init__("physics", **kwargs)
         self._domain_lock: DomainLock | None = None
