@@ -327,13 +327,13 @@ def test_every_combination_of_lights_and_materials_compiles() -> None:
     context = open_context()
     try:
         context.make_current()
-        surface = ("SURFACE", "TURNED", "NUMBERED")
+        surface = ("SURFACE", "TURNED")
         choices = ("GLOSS", "POINT_LIGHTS 2", "ENVIRONMENT", "SHADOWS", "MATERIAL_MAPS", "LOOKED")
         for chosen in itertools.product((False, True), repeat=len(choices)):
             lit = [name for name, on in zip(choices, chosen, strict=True) if on]
             for others in (
-                ("TEXTURED", *surface),
-                ("MOVING", "CUT", "TEXTURED", "ONE_MATERIAL", *surface, "LABELS", "NORMALS", "FLOW"),
+                ("TEXTURED", "MATERIALS", *surface),
+                ("MOVING", "CUT", "TEXTURED", *surface, "LABELS", "NORMALS", "FLOW"),
             ):
                 defines = (*lit, *others)
                 before = ("lighting.glsl", *(("looks.glsl",) if "LOOKED" in lit else ()))

@@ -10,6 +10,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer as RosbagsWriter
 
 import gibson_sim.bags.sink as sink_module
+from gibson_sim.bags.mcap_file import LARGE_BYTES
 from gibson_sim.bags.writer import BagWriter, TopicQos
 from gibson_sim.errors import RecordError
 
@@ -49,9 +50,53 @@ def test_messages_lie_in_indexed_chunks(tmp_path: Path, messages: Any) -> None:
     with _mcap(tmp_path / "bag").open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None
-    # The schema and three messages of 1046 bytes each pass 2500 bytes.
+    # Three messages of 1046 bytes each pass 2500 bytes.
     assert [len(c.message_index_offsets) for c in summary.chunk_indexes] == [1, 1, 1, 1]
     assert (summary.chunk_indexes[0].message_start_time, summary.chunk_indexes[-1].message_end_time) == (1000, 1009)
+
+
+def _written_apart(folder: Path, messages: Any) -> list[tuple[str, int]]:
+    """Writes small messages every 0.1 s and a large one after every third, each large one a chunk; returns topics and times."""
+    written, large = [], messages.text("x" * 2 * LARGE_BYTES)
+    with BagWriter(folder, reserve_bytes=0, chunk_bytes=LARGE_BYTES) as bag:
+        for topic in ("/small", "/large"):
+            bag.add_topic(topic, STRING)
+        for i in range(30):
+            time_ns = i * 100_000_000
+            for topic in ("/small", "/large") if i % 3 == 2 else ("/small",):
+                bag.write(topic, large if topic == "/large" else messages.text(str(i)), time_ns, time_ns)
+                written.append((topic, time_ns))
+    return written
+
+
+def test_large_messages_stand_in_chunks_of_their_own(tmp_path: Path, messages: Any) -> None:
+    written = _written_apart(tmp_path / "bag", messages)
+    with _mcap(tmp_path / "bag").open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        assert sorted((c.topic, m.log_time) for _, c, m in reader.iter_messages()) == sorted(written)
+    assert summary is not None
+    topics = {number: channel.topic for number, channel in summary.channels.items()}
+    kinds = [{topics[number] for number in chunk.message_index_offsets} for chunk in summary.chunk_indexes]
+    assert all(len(kind) == 1 for kind in kinds)
+    assert kinds.count({"/large"}) == 10
+    with AnyReader([tmp_path / "bag"]) as rosbags:
+        read = [(c.topic, t) for c, t, _ in rosbags.messages()]
+    assert [t for _, t in read] == [t for _, t in written]
+    assert sorted(read) == sorted(written)
+
+
+def test_small_messages_do_not_lag_behind_large_ones_by_more_than_a_second(tmp_path: Path, messages: Any) -> None:
+    _written_apart(tmp_path / "bag", messages)
+    with _mcap(tmp_path / "bag").open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    small_until = 0
+    for chunk in summary.chunk_indexes:
+        if chunk.uncompressed_size > LARGE_BYTES:
+            assert chunk.message_end_time - small_until <= 1.3e9
+        else:
+            small_until = chunk.message_end_time
 
 
 def test_file_says_the_same_as_one_that_rosbags_wrote(tmp_path: Path, messages: Any) -> None:

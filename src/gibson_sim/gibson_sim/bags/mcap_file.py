@@ -1,4 +1,7 @@
-"""Mcap files: writes one chunk by chunk without copying large messages, and writes the end of one. Records: https://mcap.dev/spec."""
+"""Mcap files: writes one chunk by chunk without copying large messages, and writes the end of one. Records: https://mcap.dev/spec.
+
+Large messages, images above all, stand in chunks of their own: who wants the rest of a bag need not read gigabytes of pictures for it.
+"""
 
 from __future__ import annotations
 
@@ -41,8 +44,10 @@ _MESSAGE_RECORD = struct.Struct("<BQHIQQ")
 _CHUNK_TIMES = struct.Struct("<QQQI")
 _INDEX_HEAD = struct.Struct("<BQHI")
 _INDEX_ENTRY = struct.Struct("<QQ")
-_SMALL_BYTES = 32 * 1024
-"""Smaller messages are gathered in a buffer; larger ones go from their own memory to the disk."""
+LARGE_BYTES = 32 * 1024
+"""Smaller messages are gathered in a buffer; larger ones go from their own memory to the disk, in chunks apart."""
+_SPAN_NS = 1_000_000_000
+"""Small messages wait no longer than this, in log time, while large ones are written."""
 
 
 @dataclass(slots=True)
@@ -138,7 +143,7 @@ def message_index(channel: int, messages: list[tuple[int, int]]) -> bytes:
 
 
 class _Chunk:
-    """The chunk in hand."""
+    """A chunk in hand."""
 
     def __init__(self) -> None:
         self.parts: list[bytes | bytearray | memoryview] = []
@@ -149,7 +154,7 @@ class _Chunk:
 
     def add(self, data: bytes | memoryview) -> None:
         """Appends bytes of a record."""
-        if len(data) >= _SMALL_BYTES:
+        if len(data) >= LARGE_BYTES:
             self.parts.append(data)
             self._gathered = None
         else:
@@ -183,7 +188,7 @@ class McapFile:
         self._sink = Sink(path, emergency)
         self._chunk_bytes, self._compression = chunk_bytes, compression
         self._section = DataSection()
-        self._chunk = _Chunk()
+        self._small, self._large = _Chunk(), _Chunk()
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         builder = RecordBuilder()
@@ -205,10 +210,10 @@ class McapFile:
     @property
     def size(self) -> int:
         """Bytes on the disk and in hand."""
-        return self._sink.position + self._chunk.size
+        return self._sink.position + self._small.size + self._large.size
 
     def add_topic(self, topic: TopicRecord, definition: str) -> None:
-        """Declares a topic, with the text of its type and of all types nested in it."""
+        """Declares a topic, with the text of its type and of all types nested in it; at once, since either chunk may be the next one."""
         builder = RecordBuilder()
         schema_id = self._schemas.get(topic.type_name)
         if schema_id is None:
@@ -222,19 +227,27 @@ class McapFile:
         channel.write(builder)
         self._section.channels[channel_id] = channel
         self._channels[topic.name] = channel_id
-        self._chunk.add(builder.end())  # type: ignore[no-untyped-call]
+        self._sink.write(builder.end())  # type: ignore[no-untyped-call]
+        if not self._section.chunks:
+            self._section.start = self._sink.position
 
     def write(self, topic: str, data: bytes | memoryview, log_time_ns: int, publish_time_ns: int) -> None:
         """Takes one message of a declared topic."""
-        self._chunk.add_message(self._channels[topic], data, log_time_ns, publish_time_ns)
-        if self._chunk.size > self._chunk_bytes:
-            self.flush()
+        chunk = self._large if len(data) >= LARGE_BYTES else self._small
+        chunk.add_message(self._channels[topic], data, log_time_ns, publish_time_ns)
+        if chunk.size > self._chunk_bytes:
+            if chunk is self._large and self._small.messages and log_time_ns - self._small.start_ns > _SPAN_NS:
+                self._write_whole(self._small)
+            self._write_whole(chunk)
 
     def flush(self) -> None:
-        """Writes the chunk in hand, if it has a message."""
-        chunk = self._chunk
-        if not chunk.messages:
-            return
+        """Writes the chunks in hand, as far as they have messages."""
+        for chunk in (self._small, self._large):
+            if chunk.messages:
+                self._write_whole(chunk)
+
+    def _write_whole(self, chunk: _Chunk) -> None:
+        """Writes a chunk and its message indices, and begins the next one in its place."""
         position = self._sink.position
         index = self._write_chunk(chunk)
         end = position + index.chunk_length
@@ -246,7 +259,10 @@ class McapFile:
         self._sink.write(indices)
         counts = Counter({channel: len(messages) for channel, messages in chunk.messages.items()})
         self._section.chunks.append(ChunkEntry(index, counts, self._sink.position))
-        self._chunk = _Chunk()
+        if chunk is self._large:
+            self._large = _Chunk()
+        else:
+            self._small = _Chunk()
 
     def _write_chunk(self, chunk: _Chunk) -> ChunkIndex:
         """Writes the record of the chunk; returns its index, without the message indices that follow."""
@@ -279,7 +295,6 @@ class McapFile:
     def finish(self, information: Mapping[str, Any]) -> None:
         """Writes everything that follows the messages and closes the file."""
         self.flush()
-        # Definitions of topics that had no message yet wait in a chunk that is never written; the summary has them too.
         self._sink.write(end_of_file(self._section, self._sink.position, information))
         self._sink.close()
 

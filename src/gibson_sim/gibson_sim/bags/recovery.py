@@ -262,9 +262,9 @@ def _take(section: _Section, opcode: int, length: int, position: int, file: Bina
     elif opcode == Opcode.HEADER:
         Header.read(ReadDataStream(BytesIO(file.read(length))))
         section.start = end
-    elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and not section.chunks:
+    elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
         _add_definition(section, opcode, file.read(length))
-        section.start = end
+        section.start = section.start if section.chunks else end
     elif opcode == Opcode.MESSAGE:
         raise RecordError(
             f"{file.name} holds messages outside of chunks, so this program did not write it: use `ros2 bag reindex`"

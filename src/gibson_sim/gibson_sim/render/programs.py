@@ -57,7 +57,7 @@ class Programs:
         lights = color and not batch.unlit
         flags = {
             "MOVING": batch.moving, "CUT": cut, "UNLIT": not lights, "TEXTURED": batch.texture >= 0 and (cut or color),
-            "ONE_MATERIAL": batch.material >= 0, "NUMBERED": batch.material < 0 or batch.looked,
+            "MATERIALS": batch.material < 0,
             "SURFACE": lights or "FLOW" in features, "TURNED": lights or "NORMALS" in features,
             "LOOKED": color and batch.looked, "COLORED": color and batch.colored,
         }  # fmt: skip

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import struct
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from queue import Queue
 from types import TracebackType
-from typing import Any
 
 from gibson_sim.bags.writer import BagWriter
 from gibson_sim.errors import GibsonSimError
@@ -16,7 +14,7 @@ from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.ros.camera_messages import CameraMessages
 from gibson_sim.ros.exact_bytes import exact_bytes
 from gibson_sim.ros.fast_images import image_to_bytes
-from gibson_sim.types import NS_PER_S, Frame
+from gibson_sim.types import Frame
 
 MOST_WAITING = 100
 """Items that wait: a few pictures and what was recorded between them."""
@@ -44,8 +42,6 @@ class Picture:
 
 
 Item = Raw | Picture
-_STAMP, _STAMP_AT = struct.Struct("<iI"), 4
-"""The stamp of a message that begins with a header, behind the four bytes that say how it is encoded."""
 
 
 class BagQueue:
@@ -58,7 +54,6 @@ class BagQueue:
     def __init__(self, bag: BagWriter) -> None:
         self._bag = bag
         self._items: Queue[Item | None] = Queue(MOST_WAITING)
-        self._infos: dict[str, bytes] = {}
         self._error: GibsonSimError | None = None
         self._ended = False
         self._thread = threading.Thread(target=self._run, name="bag-writer", daemon=True)
@@ -89,17 +84,10 @@ class BagQueue:
             self._bag.write(item.topic, item.data, item.log_ns, item.log_ns)
             return
         wanted, stamp_ns = frozenset(item.topics), item.frame.stamp_ns
-        for kind, message in item.messages.infos(stamp_ns, wanted):
-            self._bag.write(item.topics[kind], self._info(item.topics[kind], message, stamp_ns), item.log_ns, item.log_ns)
+        for kind, message in item.messages.infos(stamp_ns, wanted, exact_bytes):
+            self._bag.write(item.topics[kind], message, item.log_ns, item.log_ns)
         for kind, message in item.messages.images(item.frame, wanted, item.T_target_camera, image_to_bytes):
             self._bag.write(item.topics[kind], message, item.log_ns, item.log_ns)
-
-    def _info(self, topic: str, message: Any, stamp_ns: int) -> bytes:
-        """Returns a calibration as bytes: those of the first one of its topic, with another stamp."""
-        if topic not in self._infos:
-            self._infos[topic] = exact_bytes(message)
-        known = self._infos[topic]
-        return known[:_STAMP_AT] + _STAMP.pack(*divmod(stamp_ns, NS_PER_S)) + known[_STAMP_AT + _STAMP.size :]
 
     def close(self) -> None:
         """Waits until everything is written; a second call does nothing. Raises what went wrong."""

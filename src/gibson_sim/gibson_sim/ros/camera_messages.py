@@ -5,10 +5,12 @@ The render node publishes them; ``render_bag`` writes them to a bag.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 from gibson_sim.config import RenderConfig
@@ -19,13 +21,15 @@ from gibson_sim.sensors.depth_noise import apply_depth_noise
 from gibson_sim.sensors.depth_registration import DepthRegistration, split_for
 from gibson_sim.sensors.image_codecs import COMPRESSED_DEPTH_FORMAT, ColorCodec, color_format, encode_color, encode_depth
 from gibson_sim.sensors.point_cloud import cloud_of_frame
-from gibson_sim.types import CameraSpec, Frame, Output
+from gibson_sim.types import NS_PER_S, CameraSpec, Frame, Output
 
 COMPRESSED, COMPRESSED_DEPTH, POINTS, REGISTERED, REGISTERED_INFO = (
     "compressed", "compressed_depth", "points", "registered", "registered_info",
 )  # fmt: skip
 """Kinds of messages, beside those of ``names.camera_topics``."""
 _LABELS: tuple[Output, ...] = ("semantic", "instance")
+_STAMP, _STAMP_AT = struct.Struct("<iI"), 4
+"""The stamp of a message that begins with a header, behind the four bytes that say how it is encoded."""
 
 
 class CameraMessages:
@@ -44,6 +48,7 @@ class CameraMessages:
         self.camera, self.target = camera, target
         self._config = config
         self._labels: dict[Output, tuple[str, ...]] = {}
+        self._infos: dict[str, bytes] = {}
         self._registration: tuple[bytes, DepthRegistration] | None = None
         if target is not None:
             split_for(camera, target)  # now, not at each image
@@ -82,12 +87,24 @@ class CameraMessages:
         outputs = tuple(output for output in self.camera.outputs if output in needed)
         return replace(self.camera, outputs=outputs) if outputs else None
 
-    def infos(self, stamp_ns: int, wanted: frozenset[str]) -> Iterator[tuple[str, CameraInfo]]:
-        """Yields kind and message of the calibrations that are wanted."""
-        for kind in wanted:
-            if kind.endswith("_info"):
+    def infos(
+        self, stamp_ns: int, wanted: frozenset[str], serialize: Callable[[Any], bytes] = serialize_message
+    ) -> Iterator[tuple[str, bytes]]:
+        """Yields kind and bytes of the calibrations that are wanted: those of the first one of each kind, with another stamp.
+
+        Args:
+            stamp_ns: of the image.
+            wanted: kinds of messages; others are passed over.
+            serialize: makes the bytes of that first one: ``serialize_message`` of rclpy, or ``exact_bytes``.
+        """
+        for kind in sorted(wanted):
+            if not kind.endswith("_info"):
+                continue
+            if kind not in self._infos:
                 camera = self.target if kind == REGISTERED_INFO and self.target is not None else self.camera
-                yield kind, conversions.camera_info_to_msg(camera, stamp_ns)
+                self._infos[kind] = serialize(conversions.camera_info_to_msg(camera, stamp_ns))
+            first = self._infos[kind]
+            yield kind, first[:_STAMP_AT] + _STAMP.pack(*divmod(stamp_ns, NS_PER_S)) + first[_STAMP_AT + _STAMP.size :]
 
     def images(
         self,

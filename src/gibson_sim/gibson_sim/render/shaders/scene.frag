@@ -3,7 +3,7 @@ in vec2 v_uv;
 #ifdef COLORED
 in vec3 v_color;  // linear
 #endif
-#ifdef NUMBERED
+#ifdef LOOKED
 flat in uint v_material;
 #endif
 #ifdef SURFACE
@@ -27,13 +27,17 @@ struct Material {
     vec4 glow;     // emission
     vec4 maps;     // as apply_maps in lighting.glsl takes it
 };
-#ifdef ONE_MATERIAL
+#ifndef MATERIALS
 uniform vec4 u_color;
 uniform vec4 u_surface;
 uniform vec4 u_glow;
 uniform vec4 u_maps;
 #else
-layout(std430, binding = 2) readonly buffer Materials { Material materials[]; };
+// Looked up for each vertex: a software renderer takes long over a look into a buffer for each pixel.
+flat in vec4 v_base_color;
+flat in vec4 v_surface;
+flat in vec4 v_glow;
+flat in vec4 v_maps;
 #endif
 
 #ifdef TEXTURED
@@ -61,10 +65,10 @@ in vec3 v_local;
 #endif
 
 void main() {
-#ifdef ONE_MATERIAL
+#ifndef MATERIALS
     Material material = Material(u_color, u_surface, u_glow, u_maps);
 #else
-    Material material = materials[v_material];
+    Material material = Material(v_base_color, v_surface, v_glow, v_maps);
 #endif
     vec4 color = material.color;
 #ifdef TEXTURED

@@ -44,8 +44,16 @@ out vec3 v_before;  // clip coordinates x, y, w of the state before
 out vec3 v_local;  // frame of the link, metres
 #endif
 out vec2 v_uv;
-#ifdef NUMBERED
+#ifdef LOOKED
 flat out uint v_material;
+#endif
+#ifdef MATERIALS
+struct Material { vec4 color, surface, glow, maps; };  // as in scene.frag
+layout(std430, binding = 2) readonly buffer Materials { Material materials[]; };
+flat out vec4 v_base_color;
+flat out vec4 v_surface;
+flat out vec4 v_glow;
+flat out vec4 v_maps;
 #endif
 
 // Whatever else a program draws, it must put things at the same places to the bit.
@@ -82,10 +90,19 @@ void main() {
 #ifdef COLORED
     v_color = in_color.rgb;
 #endif
-#ifdef NUMBERED
-    v_material = in_material;
+#if defined(LOOKED) || defined(MATERIALS)
+    uint number = in_material;
 #ifdef MOVING
-    v_material += in_placed_material;
+    number += in_placed_material;
+#endif
+#ifdef LOOKED
+    v_material = number;
+#endif
+#ifdef MATERIALS
+    v_base_color = materials[number].color;
+    v_surface = materials[number].surface;
+    v_glow = materials[number].glow;
+    v_maps = materials[number].maps;
 #endif
 #endif
 #ifdef LABELS

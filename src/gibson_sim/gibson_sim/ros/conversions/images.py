@@ -90,7 +90,6 @@ def frame_to_image_msgs(
     """
     camera, stamp = frame.camera, frame.stamp_ns
     msgs: dict[str, Any] = {}
-    info = camera_info_to_msg(camera, stamp)
     for output, encoding in ENCODINGS.items():
         pixels = getattr(frame, output)
         if pixels is None:
@@ -98,7 +97,7 @@ def frame_to_image_msgs(
         if wanted is None or output in wanted:
             msgs[output] = make_image(pixels, encoding, stamp, camera.optical_frame)
         if wanted is None or f"{output}_info" in wanted:
-            msgs[f"{output}_info"] = info
+            msgs[f"{output}_info"] = camera_info_to_msg(camera, stamp)
     return msgs
 
 
