@@ -10,6 +10,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 Advance = Callable[[float], None]
 """Told how much of the work is done, 0 to 1."""
+_STEP = 0.001
+"""Less is not shown: to draw the bar takes longer than many a message."""
 
 
 def no_progress(part: float) -> None:
@@ -22,5 +24,12 @@ def progress_bar(what: str) -> Iterator[Advance]:
     console = Console(stderr=True)
     columns = (TextColumn(what), BarColumn(), TextColumn("{task.percentage:3.0f} %"), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(what, total=1.0)
-        yield lambda part: progress.update(task, completed=part)
+        task, shown = progress.add_task(what, total=1.0), 0.0
+
+        def advance(part: float) -> None:
+            nonlocal shown
+            if abs(part - shown) >= _STEP:
+                shown = part
+                progress.update(task, completed=part)
+
+        yield advance

@@ -62,18 +62,16 @@ class Tally:
     end_ns: int = 0
     counts: Counter[str] = field(default_factory=Counter)
     """Messages by topic."""
-
-    @property
-    def count(self) -> int:
-        """Messages."""
-        return sum(self.counts.values())
+    count: int = 0
+    """Messages."""
 
     def add(self, topic: str, log_time_ns: int) -> None:
         """Counts one message."""
-        if not self.counts:
+        if not self.count:
             self.start_ns = log_time_ns
         self.end_ns = log_time_ns
         self.counts[topic] += 1
+        self.count += 1
 
 
 class StorageFile(Protocol):

@@ -25,6 +25,8 @@ ROBOT = "gibson_bot"
 HOUSE_MODES = (Mode("RGB", ("rgb",)), Mode("RGB-D", ("rgb", "depth")))
 WARM_UP = 10
 """Frames that do not count, at least."""
+SETTLE_S = 4.0
+"""Simulation time that passes before the first frame: what lies still has fallen asleep by then, whichever way and row."""
 BLOCK = 12
 """Frames that are made before the limits have their turn again."""
 

@@ -21,7 +21,18 @@ from gibson_sim.bench import timing
 from gibson_sim.bench.clocks import Clock, calls_of, copy_ms, opengl_calls
 from gibson_sim.bench.ours import STILL, pose_of
 from gibson_sim.bench.paper import HOUSE_SIZE, MODES, PHYSICS_SIZE, Mode
-from gibson_sim.bench.protocol import BLOCK, FOV_Y_DEG, HOUSE_MODES, HOUSES_ONLY, ROBOT, STEP_HZ, WARM_UP, Commands, Plan
+from gibson_sim.bench.protocol import (
+    BLOCK,
+    FOV_Y_DEG,
+    HOUSE_MODES,
+    HOUSES_ONLY,
+    ROBOT,
+    SETTLE_S,
+    STEP_HZ,
+    WARM_UP,
+    Commands,
+    Plan,
+)
 from gibson_sim.bench.rows import BULLET, COPY, HOST, IN_PROCESS, OPENGL, TENSOR, Row, Table1, row_of
 from gibson_sim.bench.scenes import bench_scene, camera_path
 from gibson_sim.bench.tensors import synchronize
@@ -54,6 +65,7 @@ class Loop:
         self._robot, self._substeps = populated.robots[0].name, substeps
         self._sensors = SensorSuite(populated.robots[0], STEP_HZ, STEP_HZ // substeps, populated.gravity)
         self._commands = Commands(substeps)
+        self.world.step(round(SETTLE_S * STEP_HZ))
 
     def step(self) -> None:
         """Obeys the next command for a frame."""

@@ -16,8 +16,8 @@ from gibson_sim.ros.exact_bytes import exact_bytes
 from gibson_sim.ros.fast_images import image_to_bytes
 from gibson_sim.types import Frame
 
-MOST_WAITING = 100
-"""Items that wait: a few pictures and what was recorded between them."""
+MOST_WAITING = 4
+"""So many calls of ``put`` wait: a few pictures and what was recorded between them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,29 +53,29 @@ class BagQueue:
 
     def __init__(self, bag: BagWriter) -> None:
         self._bag = bag
-        self._items: Queue[Item | None] = Queue(MOST_WAITING)
+        self._items: Queue[Sequence[Item] | None] = Queue(MOST_WAITING)
         self._error: GibsonSimError | None = None
         self._ended = False
         self._thread = threading.Thread(target=self._run, name="bag-writer", daemon=True)
         self._thread.start()
 
     def put(self, items: Sequence[Item]) -> None:
-        """Takes items; waits while too many are not written yet.
+        """Takes items, which must stay as they are; waits while too many are not written yet.
 
         Raises:
             RecordError: what came before could not be written.
         """
-        for item in items:
-            self._items.put(item)
+        self._items.put(items)
         if self._error is not None:
             raise self._error
 
     def _run(self) -> None:
-        while (item := self._items.get()) is not None:
+        while (items := self._items.get()) is not None:
             if self._error is not None:
                 continue  # whoever puts must not wait for ever
             try:
-                self._write(item)
+                for item in items:
+                    self._write(item)
             except GibsonSimError as error:
                 self._error = error
 

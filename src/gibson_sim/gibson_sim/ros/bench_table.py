@@ -16,7 +16,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Image
 
 from gibson_msgs.msg import SceneState as RosSceneState
-from gibson_sim.bench.protocol import STEP_HZ, Commands
+from gibson_sim.bench.protocol import SETTLE_S, STEP_HZ, Commands
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.bench_waiting import settle, wait_until, waiter_of
 from gibson_sim.ros.executor import make_executor
@@ -91,10 +91,11 @@ def table_lockstep(cases: list[list[str]], counts: list[int], substeps: int) -> 
     Returns ``ticks``: of each case, when they came, steady clock, nanoseconds; ``sets``: how many sets of images came meanwhile.
     """
     node = Node("bench_controller")
-    eyes, driver, ticks = _Eyes(node), _Driver(node, substeps), list[int]()
+    eyes, driver, ticks, stamp = _Eyes(node), _Driver(node, substeps), list[int](), [0]
 
     def on_odometry(msg: Odometry) -> None:
         ticks.append(time.monotonic_ns())
+        stamp[0] = conversions.time_from_msg(msg.header.stamp)
         driver.send()
         participant.done(msg.header.stamp, (driver.topic,))
 
@@ -102,6 +103,7 @@ def table_lockstep(cases: list[list[str]], counts: list[int], substeps: int) -> 
     participant = LockstepParticipant(node, after=names.ODOM)
     waiter = make_executor()
     waiter.add_node(node)
+    wait_until(lambda: stamp[0] >= SETTLE_S * NS_PER_S, waiter, progress=lambda: len(ticks))
     found: dict[str, Any] = {"ticks": [], "sets": []}
     for topics, count in zip(cases, counts, strict=True):
         eyes.look_at(topics)
@@ -133,6 +135,7 @@ def table_free(cases: list[list[str]], seconds: float, substeps: int) -> dict[st
     node.create_subscription(Odometry, names.ODOM, on_odometry, qos.STATE)
     waiter = make_executor()
     waiter.add_node(node)
+    wait_until(lambda: bool(stamps) and stamps[-1] >= SETTLE_S * NS_PER_S, waiter, progress=lambda: len(ticks))
     found: dict[str, Any] = {"received": [], "ticks": []}
     for topics in cases:
         eyes.look_at(topics)
