@@ -43,3 +43,20 @@ def test_tables_side_by_side_give_what_each_gives_alone() -> None:
 def test_nothing_has_no_frames() -> None:
     positions, quats, twists = FrameTable.joined([]).links(np.zeros((0, 13)))
     assert (positions.shape, quats.shape, twists.shape) == ((0, 3), (0, 4), (0, 6))
+
+
+@pytest.mark.parametrize("links", [1, 2, 3, 62])
+def test_compiled_loops_give_the_frames_of_numpy_to_the_bit(links: int) -> None:
+    rng = np.random.default_rng(links)
+    groups = (links + 1) // 2
+    turns = [right_multiplication(tuple((q / np.linalg.norm(q)).tolist())) for q in rng.normal(size=(groups + links, 4))]
+    rows = np.sort(rng.integers(0, groups, links)).astype(np.intp)
+    frames = FrameTable(
+        rng.normal(size=(groups, 3)), np.array(turns[:groups]), rows, rng.normal(size=(links, 3)), np.array(turns[groups:])
+    )
+    for _ in range(20):
+        moving = rng.normal(size=(groups, 13))
+        moving[:, 3:7] /= np.linalg.norm(moving[:, 3:7], axis=1, keepdims=True)
+        moving[rng.random(groups) < 0.3, 7:] = 0.0
+        for ours, theirs in zip(frames.links(moving, loops=True), frames.links(moving, loops=False), strict=True):
+            assert ours.tobytes() == theirs.tobytes()

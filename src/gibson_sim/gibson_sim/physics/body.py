@@ -210,9 +210,9 @@ class BodyInWorld:
 
     def _readable_shape(self, bullet: Bullet, shape: Shape) -> Shape:
         if shape.kind != "mesh" or (not self.static and shape.mesh.lower().endswith(_ENGINE_MESHES)):
-            return replace(shape, mesh=str(bullet.copy_obj(shape.mesh))) if shape.mesh.lower().endswith(".obj") else shape
+            return replace(shape, mesh=str(bullet.files.copy_obj(shape.mesh))) if shape.mesh.lower().endswith(".obj") else shape
         vertices, triangles = load_shape(shape, [Path(shape.mesh).parent]).merged() if self.static else hull_of(shape)
-        return Shape("mesh", (1.0, 1.0, 1.0), str(bullet.write_mesh(vertices, triangles)))
+        return Shape("mesh", (1.0, 1.0, 1.0), str(bullet.files.write_mesh(vertices, triangles)))
 
     def _frame_table(self) -> FrameTable:
         """Returns how the links lie in what the engine moves."""

@@ -7,23 +7,21 @@ Not thread-safe: one owner thread for each client.
 
 from __future__ import annotations
 
-import hashlib
 import os
-import tempfile
 from collections.abc import Sequence
 from itertools import chain
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.errors import MeshError, PhysicsError
+from gibson_sim.errors import PhysicsError
+from gibson_sim.physics.awake import AwakeCount, parts_of
 from gibson_sim.physics.engine import pybullet as p, quiet
+from gibson_sim.physics.engine_files import EngineFiles
 from gibson_sim.physics.engine_types import BulletBody, EngineContact, JointReading
 from gibson_sim.physics.frames import cross, product, turn
 from gibson_sim.physics.mesh_pieces import mesh_pieces
-from gibson_sim.physics.obj_text import to_obj, without_materials
 from gibson_sim.physics.sleeping import Sleepers
 from gibson_sim.robots.mimic import Mimic
 from gibson_sim.types import Pose, Quat, Vec3
@@ -45,7 +43,8 @@ class Bullet:
     """One private physics engine without a window."""
 
     def __init__(self, step_hz: int, gravity: Vec3) -> None:
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self.files = EngineFiles()
+        """What it reads; they go with it."""
         with quiet():
             self._client: int | None = p.connect(p.DIRECT)
         if self._client < 0:
@@ -58,6 +57,8 @@ class Bullet:
         self._ray_bits = set(range(_FIRST_RAY_BIT, _FIRST_RAY_BIT + MAX_BODIES_WITH_RAYS))
         self._ray_threads = min(4, os.cpu_count() or 1)
         self._sleepers = Sleepers(self._client)
+        self.awake = AwakeCount(self._client)
+        """Of all bodies, step by step."""
         p.setTimeStep(1.0 / step_hz, physicsClientId=self._client)
         p.setGravity(*gravity, physicsClientId=self._client)
         p.setPhysicsEngineParameter(
@@ -86,15 +87,13 @@ class Bullet:
         if client is not None:
             with quiet():
                 p.disconnect(physicsClientId=client)
-        if self._folder is not None:
-            self._folder.cleanup()
-            self._folder = None
+        self.files.close()
 
     def step(self) -> None:
         """Advances by one time step."""
         client = self.client
         self._sleepers.wake_what_must()
-        p.stepSimulation(physicsClientId=client)
+        self.awake.add_step(p.stepSimulation(client))
         self._sleepers.throw_again()
 
     # Static shapes
@@ -167,40 +166,6 @@ class Bullet:
 
     # Bodies with joints
 
-    @property
-    def folder(self) -> Path:
-        """A folder of this engine for files; it goes with the engine."""
-        if self._folder is None:
-            self._folder = tempfile.TemporaryDirectory(prefix="gibson_sim_physics_")
-        return Path(self._folder.name)
-
-    def write_mesh(self, vertices: NDArray[np.float64], triangles: NDArray[Any]) -> Path:
-        """Returns an OBJ file with the triangles; equal ones share a file.
-
-        Args:
-            vertices: (V, 3), metres.
-            triangles: (T, 3) indices into ``vertices``.
-        """
-        return self._write_obj(to_obj(vertices, triangles).encode())
-
-    def copy_obj(self, path: str) -> Path:
-        """Returns an OBJ file with the shapes of another one alone: the engine would read its textures, too, and never let them go.
-
-        Raises:
-            MeshError: it cannot be read.
-        """
-        try:
-            text = Path(path).read_bytes()
-        except OSError as error:
-            raise MeshError(f"{path}: cannot be read: {error.strerror}") from error
-        return self._write_obj(without_materials(text))
-
-    def _write_obj(self, text: bytes) -> Path:
-        path = self.folder / f"{hashlib.sha256(text).hexdigest()[:32]}.obj"
-        if not path.is_file():
-            path.write_bytes(text)
-        return path
-
     def wake(self, body: BulletBody) -> None:
         """Lets the body not sleep on in the next step; what moves by itself wakes what it touches."""
         self._sleepers.wake(body)
@@ -215,8 +180,7 @@ class Bullet:
             static: its root never moves by itself.
             sleeps: costs nothing while it rests, until something that moves touches it.
         """
-        path = self.folder / "body.urdf"
-        path.write_text(text, encoding="utf-8")
+        path = self.files.write_urdf(text)
         flags = p.URDF_USE_INERTIA_FROM_FILE | p.URDF_MAINTAIN_LINK_ORDER | p.URDF_USE_IMPLICIT_CYLINDER
         flags |= p.URDF_ENABLE_SLEEPING if sleeps else 0
         try:
@@ -229,8 +193,9 @@ class Bullet:
         count = p.getNumJoints(uid, physicsClientId=self.client)
         joints = {p.getJointInfo(uid, i, physicsClientId=self.client)[1].decode(): i for i in range(count)}
         inertial = [p.getDynamicsInfo(uid, i, physicsClientId=self.client)[3:5] for i in range(-1, count)]
-        body = BulletBody(uid, joints, inertial)
+        body = BulletBody(uid, joints, inertial, parts_of(uid, count, self.client))
         self._names[uid] = name
+        self.awake.change_bodies(len(self._names) - len(self._static))
         for i in range(-1, count):
             # Bullet's default drag would slow a freely rolling wheel.
             p.changeDynamics(uid, i, linearDamping=0.0, angularDamping=0.0, restitution=0.0, physicsClientId=self.client)
@@ -257,6 +222,7 @@ class Bullet:
         self._sleepers.remove(body)
         p.removeBody(body.uid, physicsClientId=self.client)
         del self._names[body.uid]
+        self.awake.change_bodies(len(self._names) - len(self._static))
         if body.ray_bit:
             self._ray_bits.add(body.ray_bit)
 
@@ -352,9 +318,12 @@ class Bullet:
         return np.fromiter(chain.from_iterable(parts), np.float64).reshape(-1, 13)
 
     def still(self, bodies: Sequence[BulletBody]) -> list[bool]:
-        """Returns of each whether its root stands perfectly still, as only what sleeps does."""
+        """Returns of each whether it stands perfectly still, as only what sleeps does."""
         client = self.client
-        return [not any(map(any, p.getBaseVelocity(body.uid, client))) for body in bodies]
+        return [
+            not (self.raw_states(body)[:, 7:].any() if body.link_count else any(map(any, p.getBaseVelocity(body.uid, client))))
+            for body in bodies
+        ]
 
     def raw_root(self, body: BulletBody) -> tuple[float, ...]:
         """Returns the first of ``raw_states``."""
@@ -364,13 +333,13 @@ class Bullet:
 
     def joint_reading(self, body: BulletBody, indices: Sequence[int]) -> JointReading:
         """Returns positions, velocities and motor efforts of the joints."""
-        states = p.getJointStates(body.uid, indices, physicsClientId=self.client) if indices else ()
+        states = p.getJointStates(body.uid, indices, self.client) if indices else ()
         data = np.array([(s[0], s[1], s[3]) for s in states]).reshape(-1, 3)
         return JointReading(data[:, 0], data[:, 1], data[:, 2])
 
     def joint_angles(self, body: BulletBody, indices: Sequence[int]) -> list[float]:
         """Returns the positions alone: radians or metres."""
-        return [s[0] for s in p.getJointStates(body.uid, indices, physicsClientId=self.client)] if indices else []
+        return [s[0] for s in p.getJointStates(body.uid, indices, self.client)] if indices else []
 
     def drive_joints(self, body: BulletBody, indices: Sequence[int], speeds: Sequence[float], efforts: Sequence[float]) -> None:
         """Lets motors hold ``speeds`` (rad/s) with at most ``efforts`` (N m)."""

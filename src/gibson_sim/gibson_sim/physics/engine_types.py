@@ -53,13 +53,18 @@ class BulletBody:
         "link_indices",
         "link_turns",
         "links_in_inertial",
+        "parts",
         "ray_bit",
         "root_inertial",
         "uid",
     )
 
-    def __init__(self, uid: int, joint_indices: dict[str, int], inertial_poses: Sequence[tuple[Vec3, Quat]]) -> None:
+    def __init__(
+        self, uid: int, joint_indices: dict[str, int], inertial_poses: Sequence[tuple[Vec3, Quat]], parts: float
+    ) -> None:
         self.uid = uid
+        self.parts = parts
+        """How many of its links can be awake, see ``awake``; NaN = nobody knows."""
         self.joint_indices = joint_indices
         self.link_count = len(inertial_poses) - 1
         """Links below the root."""

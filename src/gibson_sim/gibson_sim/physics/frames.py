@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.geometry.compiling import CAN_COMPILE, compiled
 from gibson_sim.types import Quat
 
 F64 = NDArray[np.float64]
@@ -43,15 +44,15 @@ class FrameTable:
     link_turns: F64
     """(N, 4, 4): multiply a quaternion of the group's frame to that of the link."""
     _arms: F64 = field(init=False)
-    """(N, 3, 16): make of the products of an inertial frame's quaternion with itself the way from there to the link's origin."""
+    """(16, N, 3): make of the products of an inertial frame's quaternion with itself the way from there to the link's origin."""
     _turns: F64 = field(init=False)
-    """(N, 4, 4): multiply a quaternion of the inertial frame to that of the link."""
+    """(4, N, 4): make of the numbers of a quaternion of the inertial frame that of the link."""
 
     def __post_init__(self) -> None:
         group_turns = self.group_turns[self.rows]
         arms = self.in_inertial[self.rows] + turn(group_turns[:, :, 3], self.offsets)
-        object.__setattr__(self, "_arms", np.einsum("xyp,ny->nxp", _ROTATION, arms))
-        object.__setattr__(self, "_turns", np.matmul(self.link_turns, group_turns))
+        object.__setattr__(self, "_arms", np.ascontiguousarray(np.einsum("xyp,ny->pnx", _ROTATION, arms)))
+        object.__setattr__(self, "_turns", np.ascontiguousarray(np.matmul(self.link_turns, group_turns).transpose(2, 0, 1)))
 
     @staticmethod
     def joined(tables: Sequence[FrameTable]) -> FrameTable:
@@ -81,14 +82,53 @@ class FrameTable:
         quats = np.matmul(self.group_turns, raw[:, 3:7, None])[:, :, 0]
         return raw[:, :3] + to_frames, quats, raw[:, 7:10] + cross(spin, to_frames), spin
 
-    def links(self, raw: F64) -> tuple[F64, F64, F64]:
-        """Returns positions (N, 3), quaternions (N, 4) and twists (N, 6) of all links, world frame; ``raw`` as above."""
+    def links(self, raw: F64, *, loops: bool = CAN_COMPILE) -> tuple[F64, F64, F64]:
+        """Returns positions (N, 3), quaternions (N, 4) and twists (N, 6) of all links, world frame.
+
+        Args:
+            raw: as above.
+            loops: in compiled loops, not in NumPy; the results are the same, to the bit.
+        """
+        if loops:
+            return _links(raw, self.rows, self._arms, self._turns)
         raw = raw.take(self.rows, 0)
-        quats, spin = raw[:, 3:7, None], raw[:, 10:]
-        products = (quats * raw[:, None, 3:7]).reshape(-1, 16, 1)
-        arms = np.matmul(self._arms, products)[:, :, 0]
+        quats, spin = raw[:, 3:7], raw[:, 10:]
+        products = (quats[:, :, None] * quats[:, None]).reshape(-1, 16)
+        # Sums over the first axis add one number after the other, whatever the machine.
+        arms = (self._arms * products.T[:, :, None]).sum(axis=0)
         twists = np.concatenate([raw[:, 7:10] + cross(spin, arms), spin], axis=1)
-        return raw[:, :3] + arms, np.matmul(self._turns, quats)[:, :, 0], twists
+        return raw[:, :3] + arms, (self._turns * quats.T[:, :, None]).sum(axis=0), twists
+
+
+@compiled
+def _links(raw: F64, rows: NDArray[np.intp], arms: F64, turns: F64) -> tuple[F64, F64, F64]:
+    """Does what ``FrameTable.links`` does in NumPy."""
+    count = len(rows)
+    positions, quats, twists = np.empty((count, 3)), np.empty((count, 4)), np.empty((count, 6))
+    for i in range(count):
+        row = raw[rows[i]]
+        for k in range(4):
+            total = turns[0, i, k] * row[3]
+            for j in range(1, 4):
+                total += turns[j, i, k] * row[3 + j]
+            quats[i, k] = total
+        x, y, z = _arm(arms, i, 0, row), _arm(arms, i, 1, row), _arm(arms, i, 2, row)
+        p, q, r = row[10], row[11], row[12]
+        positions[i, 0], positions[i, 1], positions[i, 2] = row[0] + x, row[1] + y, row[2] + z
+        twists[i, 0] = row[7] + (q * z - r * y)
+        twists[i, 1] = row[8] + (r * x - p * z)
+        twists[i, 2] = row[9] + (p * y - q * x)
+        twists[i, 3], twists[i, 4], twists[i, 5] = p, q, r
+    return positions, quats, twists
+
+
+@compiled
+def _arm(arms: F64, link: int, axis: int, row: F64) -> float:
+    """Returns one component of the way from an inertial frame, as ``raw`` has it, to the origin of a link."""
+    total = arms[0, link, axis] * (row[3] * row[3])
+    for k in range(1, 16):
+        total += arms[k, link, axis] * (row[3 + k // 4] * row[3 + k % 4])
+    return float(total)
 
 
 def cross(a: F64, b: F64) -> F64:

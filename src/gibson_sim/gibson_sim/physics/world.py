@@ -234,7 +234,7 @@ class PhysicsWorld(ArmCommands):
         one = self._robot(robot)
         if one.drive is None:
             raise CommandError(f"robot {robot!r} has no drive and cannot obey a velocity; give it one in its robot.yaml")
-        one.command = replace(command, stamp_ns=min(command.stamp_ns, self.stamp_ns))
+        one.command = command if command.stamp_ns <= self.stamp_ns else replace(command, stamp_ns=self.stamp_ns)
 
     def command_joints(self, name: str, command: JointCommand) -> None:
         """Moves joints of a robot (not those of its drive), or of a body, from the next step on.
@@ -251,13 +251,13 @@ class PhysicsWorld(ArmCommands):
 
     def step(self, steps: int = 1) -> None:
         """Advances by ``steps``; limits and time-outs of the commands count in every one."""
-        dt = 1.0 / self.step_hz
-        bullet = self._bullet
+        bullet, dt = self._bullet, 1.0 / self.step_hz
+        step_ns = round(dt * NS_PER_S)
         robots, commanded = tuple(self._robots.values()), tuple(self._commanded.values())
         self._poses.pass_time(steps * dt)
         for _ in range(steps):
             now_ns = self.stamp_ns
-            self._arms.before_step(now_ns, round(dt * NS_PER_S))
+            self._arms.before_step(now_ns, step_ns)
             for robot in robots:
                 robot.actuate(bullet, now_ns, self._timeout_ns, dt)
             for body in commanded:

@@ -34,10 +34,9 @@ def limit_velocity(current: PlanarVelocity, wanted: PlanarVelocity, limits: Diff
         limits: Speeds and accelerations.
         dt: Seconds between the two.
     """
-    return PlanarVelocity(
-        linear=approach(current.linear, wanted.linear, limits.max_linear, limits.max_linear_acceleration * dt),
-        angular=approach(current.angular, wanted.angular, limits.max_angular, limits.max_angular_acceleration * dt),
-    )
+    linear = approach(current.linear, wanted.linear, limits.max_linear, limits.max_linear_acceleration * dt)
+    angular = approach(current.angular, wanted.angular, limits.max_angular, limits.max_angular_acceleration * dt)
+    return PlanarVelocity(linear, 0.0, angular)
 
 
 class DifferentialDrive(Drive):
@@ -55,7 +54,8 @@ class DifferentialDrive(Drive):
 
     def _follow(self, wanted: PlanarVelocity, dt: float) -> DriveTargets:
         self.velocity = limit_velocity(self.velocity, wanted, self._spec, dt)
-        left, right = wheel_speeds(self._rolled.linear, self._rolled.angular, self._spec)
+        linear, _, angular = self._rolled
+        left, right = wheel_speeds(linear, angular, self._spec)
         return DriveTargets((left, right) * len(self._spec.left_joints))
 
     def encoder_turns(self, increments: Sequence[float]) -> Sequence[float]:
