@@ -9,6 +9,7 @@ EGL_EXT_device_persistent_id, EGL_NV_device_cuda; GL_EXT_memory_object for the U
 from __future__ import annotations
 
 import ctypes
+import os
 from collections.abc import Callable
 from types import TracebackType
 from typing import Any
@@ -20,6 +21,10 @@ REMEDY = (
     "install libegl1 libegl-mesa0 libgl1-mesa-dri (Debian, Ubuntu); in a container with an NVIDIA GPU also give it the "
     "graphics capability (NVIDIA_DRIVER_CAPABILITIES=all)"
 )
+
+_FILTER = ("GALLIVM_PERF", "brilinear")
+"""Has Mesa's software renderer blend two sizes of a texture only near the change from one to the other, as GPUs do: quicker, with
+differences that nobody sees. It is read when the driver is loaded; what a user has set stands, an empty value too."""
 
 _NONE = 0x3038
 _EXTENSIONS = 0x3055
@@ -71,6 +76,7 @@ class Egl:
     """
 
     def __init__(self, library: str = LIBRARY) -> None:
+        os.environ.setdefault(*_FILTER)
         try:
             self._library = ctypes.CDLL(library)
         except OSError as e:
