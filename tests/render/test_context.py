@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 
 from gibson_sim.errors import GraphicsUnavailableError
 from gibson_sim.render.context import list_devices, open_context
+from gibson_sim.render.context.egl import Egl
 from gibson_sim.render.renderer import Renderer
 from render.drawing import scene
 
@@ -77,3 +80,16 @@ def test_a_device_is_opened_by_its_uuid_as_well_as_by_its_number() -> None:
         context = open_context(wanted)
         assert (context.device.index, context.device.uuid) == (device.index, device.uuid)
         context.close()
+
+
+@pytest.mark.egl
+@pytest.mark.usefixtures("egl")
+@pytest.mark.parametrize(("given", "found"), [(None, "brilinear"), ("", ""), ("no_quad_lod", "no_quad_lod")])
+def test_how_mesa_blends_textures_is_chosen_unless_the_user_has(
+    monkeypatch: pytest.MonkeyPatch, given: str | None, found: str
+) -> None:
+    monkeypatch.setenv("GALLIVM_PERF", given or "")
+    if given is None:
+        monkeypatch.delenv("GALLIVM_PERF")
+    Egl()
+    assert os.environ["GALLIVM_PERF"] == found

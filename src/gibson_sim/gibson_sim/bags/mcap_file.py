@@ -65,17 +65,10 @@ class ChunkEntry:
 class DataSection:
     """What stands in the data section of a file."""
 
-    start: int = 0
-    """Offset behind what stands before the first chunk."""
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     chunks: list[ChunkEntry] = field(default_factory=list)
     metadata: list[MetadataIndex] = field(default_factory=list)
-
-    @property
-    def end(self) -> int:
-        """Offset behind the last whole chunk."""
-        return self.chunks[-1].end if self.chunks else self.start
 
     def times_and_counts(self) -> tuple[int, int, Counter[int]]:
         """Returns the times of the first and the last message, 0 if there is none, and the number of messages by channel."""
@@ -195,7 +188,6 @@ class McapFile:
         builder.write(MCAP0_MAGIC)
         Header("ros2", "gibson_sim").write(builder)
         self._sink.write(builder.end())  # type: ignore[no-untyped-call]
-        self._section.start = self._sink.position
 
     @property
     def path(self) -> Path:
@@ -228,8 +220,6 @@ class McapFile:
         self._section.channels[channel_id] = channel
         self._channels[topic.name] = channel_id
         self._sink.write(builder.end())  # type: ignore[no-untyped-call]
-        if not self._section.chunks:
-            self._section.start = self._sink.position
 
     def write(self, topic: str, data: bytes | memoryview, log_time_ns: int, publish_time_ns: int) -> None:
         """Takes one message of a declared topic."""

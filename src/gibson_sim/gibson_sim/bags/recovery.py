@@ -65,8 +65,15 @@ class Repair:
 class _Section(DataSection):
     """What stands in the data section of a file, as far as it is whole."""
 
+    start: int = 0
+    """Offset behind what stands before the first chunk."""
     last_messages: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
     """(log time, offset in the chunk) of the messages of the last chunk by channel."""
+
+    @property
+    def end(self) -> int:
+        """Offset behind the last whole chunk."""
+        return self.chunks[-1].end if self.chunks else self.start
 
 
 def repair(folder: str | Path) -> Repair:

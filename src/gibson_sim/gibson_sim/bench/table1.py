@@ -65,6 +65,9 @@ class Loop:
         self._robot, self._substeps = populated.robots[0].name, substeps
         self._sensors = SensorSuite(populated.robots[0], STEP_HZ, STEP_HZ // substeps, populated.gravity)
         self._commands = Commands(substeps)
+
+    def settle(self) -> None:
+        """Lets what lies still fall asleep."""
         self.world.step(round(SETTLE_S * STEP_HZ))
 
     def step(self) -> None:
@@ -147,6 +150,7 @@ def _with_physics(plan: Plan, robot: Path, substeps: int, mode: Mode, pair: Pair
     """Returns the rows of a mode: to the host, and for the fewest substeps to tensors."""
     loop = Loop(plan.scene, robot, substeps)
     try:
+        loop.settle()
         camera = camera_of(loop.world.scene.robots[0].cameras[0], mode)
         frames = plan.frames if mode.outputs else plan.sensor_frames
         warm_up = max(WARM_UP, frames // 10)

@@ -5,7 +5,6 @@ The render node publishes them; ``render_bag`` writes them to a bag.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -16,20 +15,19 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from gibson_sim.config import RenderConfig
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.ros import conversions, names
+from gibson_sim.ros.fast_publish import restamped
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.sensors.depth_noise import apply_depth_noise
 from gibson_sim.sensors.depth_registration import DepthRegistration, split_for
 from gibson_sim.sensors.image_codecs import COMPRESSED_DEPTH_FORMAT, ColorCodec, color_format, encode_color, encode_depth
 from gibson_sim.sensors.point_cloud import cloud_of_frame
-from gibson_sim.types import NS_PER_S, CameraSpec, Frame, Output
+from gibson_sim.types import CameraSpec, Frame, Output
 
 COMPRESSED, COMPRESSED_DEPTH, POINTS, REGISTERED, REGISTERED_INFO = (
     "compressed", "compressed_depth", "points", "registered", "registered_info",
 )  # fmt: skip
 """Kinds of messages, beside those of ``names.camera_topics``."""
 _LABELS: tuple[Output, ...] = ("semantic", "instance")
-_STAMP, _STAMP_AT = struct.Struct("<iI"), 4
-"""The stamp of a message that begins with a header, behind the four bytes that say how it is encoded."""
 
 
 class CameraMessages:
@@ -103,8 +101,7 @@ class CameraMessages:
             if kind not in self._infos:
                 camera = self.target if kind == REGISTERED_INFO and self.target is not None else self.camera
                 self._infos[kind] = serialize(conversions.camera_info_to_msg(camera, stamp_ns))
-            first = self._infos[kind]
-            yield kind, first[:_STAMP_AT] + _STAMP.pack(*divmod(stamp_ns, NS_PER_S)) + first[_STAMP_AT + _STAMP.size :]
+            yield kind, restamped(self._infos[kind], stamp_ns)
 
     def images(
         self,

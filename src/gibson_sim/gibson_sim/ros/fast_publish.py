@@ -22,6 +22,12 @@ _STAMP = struct.Struct("<iI")
 _NO_COVARIANCE = (0.0,) * 36
 
 
+def restamped(data: bytes, stamp_ns: int) -> bytes:
+    """Returns a message that begins with a Header, as bytes, with another stamp."""
+    begin = len(_ENCAPSULATION)
+    return data[:begin] + _STAMP.pack(*divmod(stamp_ns, NS_PER_S)) + data[begin + _STAMP.size :]
+
+
 class _Layout:
     """Lays out a message: constant bytes, and places for numbers between them."""
 
