@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import ast
 import os
+import subprocess
+import sys
+import warnings
 
 import pytest
 
@@ -93,3 +97,30 @@ def test_how_mesa_blends_textures_is_chosen_unless_the_user_has(
         monkeypatch.delenv("GALLIVM_PERF")
     Egl()
     assert os.environ["GALLIVM_PERF"] == found
+
+
+_CORES_OF_THREADS = """
+import os
+from gibson_sim.render.context import open_context
+from gibson_sim.render.context.cores import drawing_threads
+context = open_context()
+own = [sorted(os.sched_getaffinity(thread)) for thread, _ in sorted(drawing_threads().items(), key=lambda item: item[1])]
+print(context.device.software, sorted(os.sched_getaffinity(0)), own)
+"""
+
+
+@pytest.mark.egl
+@pytest.mark.usefixtures("egl")
+@pytest.mark.parametrize("few", [False, True], ids=["as many as cores", "one"])
+def test_threads_of_a_software_renderer_have_a_core_each_unless_there_are_fewer(few: bool):
+    environment = {**os.environ, **({"LP_NUM_THREADS": "1"} if few else {})}
+    done = subprocess.run([sys.executable, "-c", _CORES_OF_THREADS], env=environment, capture_output=True, text=True, check=True)
+    software, rest = done.stdout.split(maxsplit=1)
+    usable, own = ast.literal_eval(rest.replace("] [", "], ["))
+    if software != "True":
+        warnings.warn("SKIPPED: a GPU draws here, no software renderer", stacklevel=1)
+        pytest.skip("a GPU draws here, no software renderer")
+    if few or len(usable) < 2 or len(own) < len(usable):
+        assert all(cores == usable for cores in own)
+    else:
+        assert own[: len(usable)] == [[core] for core in usable]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from gibson_sim.render import clusters as module
 from gibson_sim.render.batches import Batches
 from gibson_sim.render.choosing import Detail
-from gibson_sim.render.clusters import REDUCTION, Clusters, build_clusters, split
+from gibson_sim.render.clusters import COARSEST, REDUCTION, SMALLEST, Clusters, build_clusters, split
 from gibson_sim.render.visibility import Visibility
 from gibson_sim.scenes.mesh_types import Mesh, MeshPart
 from support.surfaces import batches_of, bumpy_grid, bumpy_sphere, drawn_positions, in_two, open_edges, textured
@@ -109,6 +109,20 @@ def test_coarser_clusters_have_fewer_triangles_than_what_they_replace() -> None:
         assert 0 < sizes[built.group == group].sum() <= REDUCTION * sizes[built.next_group == group].sum()
     coarsest = sizes[built.next_group < 0].sum()
     assert coarsest < len(part.triangles) / 20
+
+
+@needs_simplifier
+@pytest.mark.parametrize("rings", [5, 6, 12])
+def test_things_of_one_cluster_get_coarser_levels_too_down_to_a_few_triangles(rings: int) -> None:
+    part = bumpy_grid(rings)
+    count = 2 * rings**2
+    assert len(part.triangles) == count
+    built = _built(part)
+    coarsest = (built.ends - built.starts)[built.next_group < 0].sum()
+    if count < SMALLEST:
+        assert coarsest == len(built.triangles) == count
+    else:
+        assert coarsest <= COARSEST
 
 
 @needs_simplifier

@@ -108,6 +108,42 @@ def test_draws_that_follow_each_other_become_one_and_draw_the_same_in_the_same_o
     assert sum(run.draws for run in joined.runs()) == len(joined.draws)
 
 
+def test_what_shines_through_becomes_few_draws_of_the_same_triangles_from_far_to_near(batches: Batches) -> None:
+    whole = _plan(batches)
+    triangles = len(whole.draws) - whole.solid
+    assert triangles > 100  # the ball of glass, triangle by triangle
+    gathered, indices = whole.gathered(batches.indices, before=7)
+    assert len(gathered.draws) - gathered.solid == 1
+    (count, _, first, _, placement) = gathered.draws[gathered.solid].tolist()
+    assert (count, first) == (len(indices), 7)
+    assert placement == whole.draws[whole.solid, 4]
+    assert indices.tolist() == _indices(batches, whole.draws[whole.solid :])
+    np.testing.assert_array_equal(gathered.draws[: gathered.solid], whole.draws[: whole.solid])
+    assert [(run.batch, run.translucent) for run in gathered.runs()] == [(run.batch, run.translucent) for run in whole.runs()]
+    assert [run.draws for run in gathered.runs()][-1] == 1
+
+
+def test_what_shines_through_keeps_its_order_among_batches_and_placements() -> None:
+    draws = np.array(
+        [[3, 1, 0, 0, 0], [3, 1, 9, 0, 0], [3, 1, 3, 0, 0], [6, 1, 12, 0, 1], [3, 1, 6, 0, 1], [3, 1, 18, 0, 1]], dtype=np.uint32
+    )
+    picture = Picture(np.eye(4), np.eye(3), 1, 1, 0.05)
+    plan = Plan(picture, np.zeros((0, 4, 4)), np.arange(6), draws, np.array([0, 1, 1, 1, 1, 2]), 1, np.arange(0), 7)
+    gathered, indices = plan.gathered(np.arange(100, 130, dtype=np.uint32))
+    assert gathered.draws[:, [0, 2, 4]].tolist() == [[3, 0, 0], [6, 0, 0], [9, 6, 1], [3, 15, 1]]
+    assert gathered.batch.tolist() == [0, 1, 1, 2]
+    assert indices.tolist() == [*range(109, 112), *range(103, 106), *range(112, 118), *range(106, 109), *range(118, 121)]
+
+
+def test_where_nothing_shines_through_nothing_is_gathered() -> None:
+    draws = np.array([[3, 1, 0, 0, 0]], dtype=np.uint32)
+    picture = Picture(np.eye(4), np.eye(3), 1, 1, 0.05)
+    plan = Plan(picture, np.zeros((0, 4, 4)), np.arange(1), draws, np.array([0]), 1, np.arange(0), 1)
+    gathered, indices = plan.gathered(np.arange(3, dtype=np.uint32))
+    assert gathered is plan
+    assert len(indices) == 0
+
+
 def test_gaps_and_other_placements_keep_draws_apart() -> None:
     draws = np.array(
         [[3, 1, 0, 0, 0], [3, 1, 3, 0, 0], [3, 1, 9, 0, 0], [3, 1, 12, 0, 1], [3, 1, 15, 0, 1], [3, 1, 18, 0, 1]], dtype=np.uint32

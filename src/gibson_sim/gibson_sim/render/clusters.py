@@ -37,8 +37,10 @@ NORMAL_WEIGHT_M = 0.02
 """How far, metres, a surface may rather move than its normals turn by one radian: decides the order in which edges go."""
 COLOR_WEIGHT_M = 0.1
 """How far, metres, a surface may rather move than the colour of a vertex change from black to white."""
-SMALLEST = 2048
+SMALLEST = 64
 """Fewer triangles than this get no coarser levels: there is nothing to be won."""
+COARSEST = 16
+"""A mesh of one cluster with no more triangles than this is not made coarser."""
 
 _SPARSE, _ERROR_ABSOLUTE = 2, 4
 _LEAST_ERROR = 1e-9
@@ -188,7 +190,7 @@ class _Work:
             self._fixed[self._place[fixed]] = True
 
     def coarsen(self, made: _Made) -> None:
-        """Makes coarser clusters until one is left, or an error is as large as the whole.
+        """Makes coarser clusters until one of few triangles is left, or an error is as large as the whole.
 
         Each level has an error that it may reach, larger by a constant factor than that of the level before. What cannot become
         coarser within it stays, and is tried again at the next: flat things get few triangles long before round ones.
@@ -198,7 +200,7 @@ class _Work:
         # Where most triangles have no area, the median is 0.
         allowed = max(FIRST_ERROR * _median_edge(self._positions, np.concatenate(made.triangles)), 1e-6 * size)
         level = 1
-        while len(now) > 1 and allowed < size:
+        while sum(len(made.triangles[c]) for c in now) > COARSEST and allowed < size:
             after = self._coarser(made, now, allowed, level)
             # Where nothing happens, haste costs nothing.
             allowed *= ERROR_STEP if len(after) < 0.98 * len(now) else ERROR_STEP**2

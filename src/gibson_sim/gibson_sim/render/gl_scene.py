@@ -266,6 +266,8 @@ class GlScene:
 
     def _run(self, features: tuple[Feature, ...], plans: Sequence[Plan], color: bool) -> None:
         """Sends the draws of each picture; after the last solid ones come the sky and what shines through."""
+        if color:
+            plans = self._gathered(plans)
         drawn = [plan.draws if color else plan.draws[: plan.solid] for plan in plans]
         self._send(drawn)
         first = 0
@@ -275,6 +277,18 @@ class GlScene:
             self.drawn_triangles += int(commands[:, 0].sum(dtype=np.int64)) // 3
             first += len(commands)
 
+    def _gathered(self, plans: Sequence[Plan]) -> list[Plan]:
+        """Returns the plans with what shines through drawn by indices of its own, which are sent."""
+        gathered, sent, before = [], [], 0
+        for plan in plans:
+            less, indices = plan.gathered(self._batches.indices, before)
+            gathered.append(less)
+            sent.append(indices)
+            before += len(indices)
+        if before:
+            self._memory.take_sorted(np.concatenate(sent))
+        return gathered
+
     def _run_picture(self, plan: Plan, first: int, features: tuple[Feature, ...], color: bool) -> None:
         gl = self._gl
         blending = False
@@ -282,6 +296,7 @@ class GlScene:
             if run.translucent and not blending:
                 blending = True
                 self._draw_sky(features)
+                gl.glBindVertexArray(self._memory.sorted_array)
                 gl.glEnable(GL.BLEND)
                 gl.glBlendFunc(GL.SRC_ALPHA, GL.ONE_MINUS_SRC_ALPHA)
                 gl.glDepthMask(0)
@@ -293,6 +308,7 @@ class GlScene:
             gl.glDepthMask(1)
             self._mask_features(features, 1)
             gl.glDisable(GL.BLEND)
+            gl.glBindVertexArray(self._memory.array)
         elif color:
             self._draw_sky(features)
 

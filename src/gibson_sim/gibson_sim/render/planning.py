@@ -115,15 +115,44 @@ class Plan:
         """Returns the plan with draws made one that follow each other in the indices, too, and differ in nothing else."""
         if not len(self.draws):
             return self
-        count, first, placement = self.draws[:, 0], self.draws[:, 2], self.draws[:, 4]
-        begins = np.ones(len(count), dtype=bool)
-        begins[1:] = (
-            (first[1:] != first[:-1] + count[:-1]) | (placement[1:] != placement[:-1]) | (self.batch[1:] != self.batch[:-1])
-        )
+        count, first = self.draws[:, 0], self.draws[:, 2]
+        begins = self._unlike()
+        begins[1:] |= first[1:] != first[:-1] + count[:-1]
+        return self._joined(begins)
+
+    def gathered(self, indices: U32, before: int = 0) -> tuple[Plan, U32]:
+        """Returns the plan with few draws of what shines through, and the indices that these read instead of ``indices``.
+
+        What shines through is drawn triangle by triangle, from far to near. Each of these draws costs more than its triangle does.
+
+        Args:
+            indices: that the draws of this plan read.
+            before: so many others come before the ones returned.
+        """
+        back = self.draws[self.solid :]
+        if not len(back):
+            return self, np.zeros(0, dtype=np.uint32)
+        count = back[:, 0].astype(np.int64)
+        begin = np.cumsum(count) - count
+        rows = np.arange(int(count.sum())) + np.repeat(back[:, 2] - begin, count)
+        draws = self.draws.copy()
+        draws[self.solid :, 2] = begin + before
+        begins = self._unlike()
+        begins[: self.solid] = True
+        return replace(self, draws=draws)._joined(begins), indices[rows]
+
+    def _unlike(self) -> NDArray[np.bool_]:
+        """Returns which draws, (N,), differ from the one before in more than what triangles they have."""
+        placement, begins = self.draws[:, 4], np.ones(len(self.draws), dtype=bool)
+        begins[1:] = (placement[1:] != placement[:-1]) | (self.batch[1:] != self.batch[:-1])
         begins[self.solid : self.solid + 1] = True
+        return begins
+
+    def _joined(self, begins: NDArray[np.bool_]) -> Plan:
+        """Returns the plan with each draw that does not begin a new one, (N,), made one with those before it."""
         starts = np.flatnonzero(begins)
         draws = self.draws[starts]
-        draws[:, 0] = np.add.reduceat(count, starts)
+        draws[:, 0] = np.add.reduceat(self.draws[:, 0], starts)
         return replace(
             self,
             chunks=self.chunks[starts],

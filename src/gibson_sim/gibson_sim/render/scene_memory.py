@@ -41,12 +41,14 @@ class SceneMemory:
         self.textures: list[int] = []
         """In the order of ``Batches.textures``."""
         self._arrays: list[int] = []
-        self._vertices, self._indices, self._occluders, self._placements = (self._buffer() for _ in range(4))
+        self._vertices, self._indices, self._occluders, self._sorted, self._placements = (self._buffer() for _ in range(5))
         self.materials, self.looks = self._buffer(), self._buffer()
         self.array = self._array(self._indices)
         """The vertex array that draws read."""
         self.occluder_array = self._array(self._occluders)
         """The same with the indices of ``Occluders``."""
+        self.sorted_array = self._array(self._sorted)
+        """The same with indices that are put in order for each picture."""
 
     def _array(self, indices: int) -> int:
         """Returns a vertex array over the vertices, with the buffer ``indices``."""
@@ -91,6 +93,10 @@ class SceneMemory:
     def take_occluders(self, indices: NDArray[np.uint32]) -> None:
         """Takes the indices of large triangles of the vertices."""
         self._fill(self._occluders, indices if len(indices) else np.zeros(1, np.uint32))
+
+    def take_sorted(self, indices: NDArray[np.uint32]) -> None:
+        """Takes the indices of what shines through, as the next pictures draw it."""
+        self._gl.glNamedBufferData(self._sorted, indices.nbytes, indices.ctypes.data, GL.STREAM_DRAW)
 
     def _buffer(self) -> int:
         buffer = self._gl.create("glCreateBuffers")

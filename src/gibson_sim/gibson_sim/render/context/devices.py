@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from gibson_sim.errors import GraphicsUnavailableError
+from gibson_sim.render.context.cores import spread_threads
 from gibson_sim.render.context.egl import LIBRARY, REMEDY, Egl, EglContext
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ class GlContext:
 
 
 def open_context(device: int | str | None = None, *, library: str = LIBRARY) -> GlContext:
-    """Opens a device.
+    """Opens a device. Threads of a software renderer get a core each.
 
     Args:
         device: its number in ``list_devices``, or its UUID with or without ``GPU-`` in front, or the beginning of it; None = the first
@@ -103,12 +104,16 @@ def open_context(device: int | str | None = None, *, library: str = LIBRARY) -> 
                 f"EGL device {device} does not exist, there are 0 to {len(handles) - 1}; see `gibson-sim doctor`"
             )
         try:
-            return _open(egl, handles, device)
+            context = _open(egl, handles, device)
         except GraphicsUnavailableError as e:
             raise GraphicsUnavailableError(
                 f"EGL device {device} cannot draw: {e}; choose another, see `gibson-sim doctor`"
             ) from e
-    return _open_best(egl, handles)
+    else:
+        context = _open_best(egl, handles)
+    if context.device.software:
+        spread_threads()
+    return context
 
 
 def device_number(wanted: str, uuids: Sequence[str]) -> int:
