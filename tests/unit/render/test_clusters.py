@@ -14,7 +14,7 @@ from gibson_sim.render.batches import Batches
 from gibson_sim.render.choosing import Detail
 from gibson_sim.render.clusters import COARSEST, REDUCTION, SMALLEST, Clusters, build_clusters, split
 from gibson_sim.render.visibility import Visibility
-from gibson_sim.scenes.mesh_types import Mesh, MeshPart
+from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart
 from support.surfaces import batches_of, bumpy_grid, bumpy_sphere, drawn_positions, in_two, open_edges, textured
 
 SIZE = 256
@@ -123,6 +123,40 @@ def test_things_of_one_cluster_get_coarser_levels_too_down_to_a_few_triangles(ri
         assert coarsest == len(built.triangles) == count
     else:
         assert coarsest <= COARSEST
+
+
+def _bar(around: int = 8) -> MeshPart:
+    """Returns a bar of 0.6 x 0.4 x 2 m without ends, whose four long edges are round, 5 mm, with normals as smooth as a fridge door's."""
+    angles = np.concatenate([np.linspace(k, k + 1, around + 1) * np.pi / 2 for k in range(4)])
+    way = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    corner = np.repeat(np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]), around + 1, axis=0) * (0.295, 0.195)
+    ring, count = corner + 0.005 * way, len(way)
+    vertices = np.array([(x, y, z) for z in (0.0, 2.0) for x, y in ring], dtype=np.float32)
+    normals = np.array([(x, y, 0.0) for _ in range(2) for x, y in way], dtype=np.float32)
+    quads = [(k, (k + 1) % count) for k in range(count)]
+    triangles = [t for a, b in quads for t in ((a, b, b + count), (a, b + count, a + count))]
+    return MeshPart(
+        vertices, normals, np.zeros((len(vertices), 2), dtype=np.float32), np.array(triangles, dtype=np.uint32), Material()
+    )
+
+
+@needs_simplifier
+@pytest.mark.parametrize("error", [0.01, 0.03, 0.1])
+def test_flat_sides_keep_their_normals_when_the_round_edges_beside_them_go(error: float) -> None:
+    part = _bar()
+    built = _built(part)
+    groups = np.append(built.group_error, np.inf) <= error
+    shown = (groups[built.group] | (built.group < 0)) & ~groups[built.next_group]
+    chosen = np.concatenate(
+        [built.triangles[start:end] for start, end, use in zip(built.starts, built.ends, shown, strict=True) if use]
+    )
+    assert len(chosen) < len(part.triangles)
+    a, b, c = np.moveaxis(part.vertices[chosen].astype(np.float64), 1, 0)
+    across = np.cross(b - a, c - a)
+    area = np.linalg.norm(across, axis=1)
+    cosines = np.einsum("tkc,tc->tk", part.normals[chosen].astype(np.float64), across / area[:, None])
+    turned = (np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))) > 20.0).any(axis=1)
+    assert area[turned].sum() < 0.03 * area.sum()
 
 
 @needs_simplifier

@@ -33,8 +33,9 @@ ERROR_STEP = 1.7
 """Each further level may have so many times the error of the one before."""
 REDUCTION = 0.85
 """A group whose triangles cannot be brought below this part of their number keeps them."""
-NORMAL_WEIGHT_M = 0.02
-"""How far, metres, a surface may rather move than its normals turn by one radian: decides the order in which edges go."""
+NORMAL_WEIGHT_M = 0.2
+"""How far, metres, a surface may rather move than its normals turn by one radian: decides the order in which edges go. Far less, and the
+normals of a round edge are spread over the flat side beside it."""
 COLOR_WEIGHT_M = 0.1
 """How far, metres, a surface may rather move than the colour of a vertex change from black to white."""
 SMALLEST = 64
