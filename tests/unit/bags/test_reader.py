@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gibson_sim.bags.reader import BagReader, image_to_array, nominal_period_ns, stamp_ns
+from gibson_sim.bags.reader import BagReader, image_to_array
+from gibson_sim.bags.stamps import nominal_period_ns, stamp_ns
 from gibson_sim.errors import RecordError
 
 NS = 1_000_000_000

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.bags.reader import BagReader, TopicInfo, header_stamp_ns, nominal_period_ns, stamp_ns
+from gibson_sim.bags.reader import BagReader, TopicInfo
+from gibson_sim.bags.stamps import header_stamp_ns, nominal_period_ns, stamp_ns
 from gibson_sim.errors import RecordError
 from gibson_sim.geometry.transforms import wrap_angle, yaw_from_quat
 from gibson_sim.types import NS_PER_S

@@ -8,7 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from gibson_sim.bags.reader import COLOUR_ENCODINGS, BagReader, nominal_period_ns
+from gibson_sim.bags.reader import COLOUR_ENCODINGS, BagReader
+from gibson_sim.bags.stamps import nominal_period_ns
 from gibson_sim.bags.video import IMAGE, MAX_FPS, Bgr, Panels, VideoFile, repeats_of, write_file
 from gibson_sim.errors import RecordError
 from gibson_sim.types import NS_PER_S

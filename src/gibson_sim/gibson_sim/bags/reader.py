@@ -20,7 +20,6 @@ from rosbags.rosbag2 import ReaderError
 from rosbags.typesys import Stores, get_typestore
 
 from gibson_sim.errors import RecordError
-from gibson_sim.types import NS_PER_S
 
 COLOUR_ENCODINGS = ("rgb8", "bgr8", "mono8")
 DEPTH_ENCODINGS = ("32FC1", "16UC1")
@@ -173,27 +172,6 @@ class BagReader:
     def _begins_with_stamp(self, type_name: str) -> bool:
         fields = self._open().typestore.fielddefs.get(type_name, ([], []))[1]
         return bool(fields) and fields[0][1][1] in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")
-
-
-def stamp_ns(data: bytes) -> int:
-    """Returns the stamp at the start of a message's CDR bytes, nanoseconds; the type begins with a Header or a Time."""
-    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
-    return int(seconds) * NS_PER_S + int(nanoseconds)
-
-
-def header_stamp_ns(stamp: Any) -> int:
-    """Returns a ``builtin_interfaces/Time`` in nanoseconds."""
-    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
-
-
-def nominal_period_ns(stamps: NDArray[np.int64]) -> float:
-    """Returns the period of a series of rising stamps (N,), nanoseconds, gaps left out; 0.0 if there are fewer than two."""
-    steps = np.diff(stamps)
-    steps = steps[steps > 0]
-    if not len(steps):
-        return 0.0
-    # Ticks quantise the stamps (33, 33, 50 ms), so the median alone is not the period; a lost frame doubles a step.
-    return float(steps[steps <= 1.6 * np.median(steps)].mean())
 
 
 def image_to_array(msg: Any) -> NDArray[Any]:

@@ -16,8 +16,8 @@ from typing import Any, cast
 from gibson_sim.bags.definitions import MessageDefinitions
 from gibson_sim.bags.mcap_file import Compression
 from gibson_sim.bags.metadata import Profile, TopicQos
-from gibson_sim.bags.reader import stamp_ns
 from gibson_sim.bags.snapshot_memory import LatchedMessages, SnapshotMemory, Stored
+from gibson_sim.bags.stamps import stamp_ns
 from gibson_sim.bags.storage import Storage
 from gibson_sim.bags.writer import BagWriter
 from gibson_sim.client_config import RecordConfig

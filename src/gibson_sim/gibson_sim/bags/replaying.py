@@ -16,7 +16,8 @@ from typing import Any
 import yaml
 
 from gibson_sim.bags.digest_comparison import Tick, TickDigests
-from gibson_sim.bags.reader import BagReader, header_stamp_ns
+from gibson_sim.bags.reader import BagReader
+from gibson_sim.bags.stamps import header_stamp_ns
 from gibson_sim.errors import RecordError
 from gibson_sim.simulation.requests import EPOCH_REQUESTS
 from gibson_sim.types import NS_PER_S

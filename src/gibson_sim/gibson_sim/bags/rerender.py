@@ -13,7 +13,8 @@ from itertools import islice
 
 import numpy as np
 
-from gibson_sim.bags.reader import BagReader, TopicInfo, nominal_period_ns, stamp_ns
+from gibson_sim.bags.reader import BagReader, TopicInfo
+from gibson_sim.bags.stamps import nominal_period_ns, stamp_ns
 from gibson_sim.errors import RecordError
 from gibson_sim.geometry.interpolation import interpolate_states
 from gibson_sim.sensors.schedule import images_due

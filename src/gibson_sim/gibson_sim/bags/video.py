@@ -13,14 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.bags.reader import (
-    COLOUR_ENCODINGS,
-    DEPTH_ENCODINGS,
-    BagReader,
-    image_to_array,
-    nominal_period_ns,
-    stamp_ns,
-)
+from gibson_sim.bags.reader import COLOUR_ENCODINGS, DEPTH_ENCODINGS, BagReader, image_to_array
+from gibson_sim.bags.stamps import nominal_period_ns, stamp_ns
 from gibson_sim.errors import RecordError
 from gibson_sim.geometry.transforms import yaw_from_quat
 from gibson_sim.types import NS_PER_S

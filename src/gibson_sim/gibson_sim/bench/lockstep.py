@@ -1,13 +1,15 @@
 """What lockstep costs: the same ticks in one process, and in processes that wait for each other.
 
-``alone`` measures the parts and the whole in this process; the other side is what ``cli.bench_lockstep`` starts.
+``Alone`` makes ticks in this process; the other side is what ``cli.bench_lockstep`` starts. Both make ticks in turns, a block at a time: the
+machine that is measured may be twice as fast a minute later.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -19,14 +21,16 @@ from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.placement import populate
 from gibson_sim.scenes.spec import drawn_scene
 from gibson_sim.sensors.suite import SensorSuite
-from gibson_sim.types import Frame, SceneState, VelocityCommand
+from gibson_sim.types import SceneState, VelocityCommand
 
 STEP_HZ = 240
 """Physics steps, and ticks, in a second of simulation time: one step a tick."""
 TICKS_PER_S, OVERHEAD = 1000.0, 0.20
 """Targets for two cores: ticks without images, and what the split into processes may add where images are drawn."""
-WARM_UP = 20
-"""Ticks that do not count."""
+BLOCKS = 10
+"""So often either side has its turn, after a first one that does not count."""
+WARM_UP = 3
+"""Ticks of each block that do not count."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,16 +60,18 @@ class Case:
     draw: Spread
     """NaN without images."""
     one_process: Spread
-    """Physics and drawing, one after the other."""
+    """Physics and drawing, one after the other, in turns with ``lockstep``."""
     lockstep: Spread
     """From tick to tick, with a controller in a process of its own that answers every one, and listens to the images."""
-
+    beside_pipeline: Spread
+    """As ``one_process``, in turns with ``pipelined``."""
     pipelined: Spread
-    """The same where physics makes the next tick while the others do this one."""
+    """As ``lockstep`` where physics makes the next tick while the others do this one."""
 
-    def overhead(self, ticks: Spread) -> float:
-        """Returns what the processes add, as a part of one process; ``ticks``: one of the two ways."""
-        return ticks.median / self.one_process.median - 1.0
+    @property
+    def overheads(self) -> tuple[float, float]:
+        """What the processes add in lockstep and in a pipeline, each as a part of one process."""
+        return self.lockstep.median / self.one_process.median - 1.0, self.pipelined.median / self.beside_pipeline.median - 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,55 +92,88 @@ class LockstepReport:
         found = asdict(self)
         for case, values in zip(self.cases, found["cases"], strict=True):
             values["ticks_per_s"] = {"lockstep": rate_of(case.lockstep), "pipelined": rate_of(case.pipelined)}
-            values["overhead"] = {"lockstep": case.overhead(case.lockstep), "pipelined": case.overhead(case.pipelined)}
+            values["overhead"] = dict(zip(("lockstep", "pipelined"), case.overheads, strict=True))
         cleaned: dict[str, Any] = without_nan(found)
         return cleaned
 
 
-def alone(scene_name: str, robot: str, size: Size | None, ticks: int) -> tuple[Spread, Spread, Spread]:
-    """Returns milliseconds a tick of physics, drawing and both, in this process.
+@dataclass(slots=True)
+class Turns:
+    """Milliseconds of each tick that counts: of one process, and of processes in turns with it."""
+
+    physics: list[float] = field(default_factory=list)
+    draw: list[float] = field(default_factory=list)
+    """Empty without images."""
+    processes: list[float] = field(default_factory=list)
+    """From tick to tick."""
+
+    @property
+    def one_process(self) -> list[float]:
+        """Physics and drawing."""
+        return [sum(parts) for parts in zip(self.physics, self.draw, strict=True)] if self.draw else self.physics
+
+
+class Alone:
+    """Makes ticks in this process. A context manager.
 
     Args:
         scene_name: what to load.
         robot: its file; it has one camera.
         size: of the images of that camera; None = nothing is drawn.
-        ticks: how many are counted.
     """
-    scene = populate(scene_name, robot, "")
-    with PhysicsWorld(scene, step_hz=STEP_HZ) as world:
-        spec = scene.robots[0]
-        sensors = SensorSuite(spec, STEP_HZ, STEP_HZ, scene.gravity)
-        drawn = drawn_scene(world.scene, world.links)
-        renderer = None if size is None else Renderer(drawn, cache=default_folder())
-        cameras = [replace(camera, outputs=("rgb", "depth")) for camera in drawn.cameras[:1]]
 
-        def physics() -> SceneState:
-            world.command(spec.name, VelocityCommand((0.3, 0.0, 0.0), (0.0, 0.0, 0.5), world.stamp_ns))
-            world.step()
-            sensors.measure(world, world.step_count, world.stamp_ns)
-            world.odometry(spec.name), world.base_twist(spec.name), world.joint_states(spec.name)
-            return world.state()
+    def __init__(self, scene_name: str, robot: str, size: Size | None) -> None:
+        scene = populate(scene_name, robot, "")
+        self._world, self._spec = PhysicsWorld(scene, step_hz=STEP_HZ), scene.robots[0]
+        self._sensors = SensorSuite(self._spec, STEP_HZ, STEP_HZ, scene.gravity)
+        drawn = drawn_scene(self._world.scene, self._world.links)
+        self._cameras = [replace(camera, outputs=("rgb", "depth")) for camera in drawn.cameras[:1]]
+        self._renderer = None if size is None else Renderer(drawn, cache=default_folder())
 
-        def draw(state: SceneState) -> list[Frame]:
-            return [] if renderer is None else renderer.render(state, cameras)
+    def __enter__(self) -> Alone:
+        return self
 
-        try:
-            whole = _times(lambda: draw(physics()), ticks)
-            state = world.state()
-            return _times(physics, ticks), _times(lambda: draw(state), ticks if renderer else 0), whole
-        finally:
-            if renderer is not None:
-                renderer.close()
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._renderer is not None:
+            self._renderer.close()
+        self._world.close()
+
+    def block(self, ticks: int, turns: Turns) -> None:
+        """Makes ticks, and adds the times of those that count to ``turns``."""
+        for tick in range(ticks + WARM_UP):
+            began = time.perf_counter_ns()
+            state = self._step()
+            stepped = time.perf_counter_ns()
+            if self._renderer is not None:
+                self._renderer.render(state, self._cameras)
+            if tick >= WARM_UP:
+                turns.physics.append((stepped - began) / 1e6)
+                if self._renderer is not None:
+                    turns.draw.append((time.perf_counter_ns() - stepped) / 1e6)
+
+    def _step(self) -> SceneState:
+        world, name = self._world, self._spec.name
+        world.command(name, VelocityCommand((0.3, 0.0, 0.0), (0.0, 0.0, 0.5), world.stamp_ns))
+        world.step()
+        self._sensors.measure(world, world.step_count, world.stamp_ns)
+        world.odometry(name), world.base_twist(name), world.joint_states(name)
+        return world.state()
 
 
-def _times(work: Callable[[], Any], count: int) -> Spread:
-    """Returns how long ``work`` takes, milliseconds."""
-    found = []
-    for _ in range(count + WARM_UP if count else 0):
-        started = time.perf_counter_ns()
-        work()
-        found.append((time.perf_counter_ns() - started) / 1e6)
-    return spread(found[WARM_UP:])
+def in_turns(alone: Alone, others: Callable[[int], Sequence[int]], ticks: int) -> Turns:
+    """Returns the times of about ``ticks`` ticks of either side.
+
+    Args:
+        alone: one side.
+        others: makes so many ticks of the other side, and returns when each came, and the one before the first; nanoseconds.
+        ticks: of each side.
+    """
+    turns, size = Turns(), max(1, ticks // BLOCKS)
+    for block in range(1 + BLOCKS):
+        found = Turns() if not block else turns
+        alone.block(size, found)
+        found.processes += (np.diff(np.asarray(others(size + WARM_UP), dtype=np.float64))[WARM_UP:] / 1e6).tolist()
+    return turns
 
 
 def rate_of(ticks: Spread) -> float:
@@ -142,27 +181,31 @@ def rate_of(ticks: Spread) -> float:
     return 1e3 / ticks.median
 
 
-def case_of(size: Size | None, parts: tuple[Spread, Spread, Spread], heard: dict[str, Any], pipelined: dict[str, Any]) -> Case:
-    """Returns a case from what was measured in one process, and from what the controller heard: ``tick_ns``, its ticks' times."""
-    return Case(size, *parts, _between_ticks(heard), _between_ticks(pipelined))
-
-
-def _between_ticks(heard: dict[str, Any]) -> Spread:
-    times = np.diff(np.asarray(heard["tick_ns"], dtype=np.float64)) / 1e6
-    return spread(times.tolist())
+def case_of(size: Size | None, lockstep: Turns, pipelined: Turns) -> Case:
+    """Returns a case from what was measured of both ways."""
+    return Case(
+        size,
+        spread(lockstep.physics),
+        spread(lockstep.draw),
+        spread(lockstep.one_process),
+        spread(lockstep.processes),
+        spread(pipelined.one_process),
+        spread(pipelined.processes),
+    )
 
 
 def targets(cases: Sequence[Case]) -> list[Target]:
     """Returns the targets that the cases say something about."""
     found = []
     for case in cases:
-        for way, ticks in (("", case.lockstep), (", in a pipeline", case.pipelined)):
+        ways = ("", case.lockstep), (", in a pipeline", case.pipelined)
+        for (way, ticks), added in zip(ways, case.overheads, strict=True):
             if case.size is None:
                 rate = rate_of(ticks)
                 found.append(
                     Target(f"ticks without images{way}", f"> {TICKS_PER_S:,.0f}/s", f"{rate:,.0f}/s", "", rate > TICKS_PER_S)
                 )
             else:
-                what, added = f"what the processes add at {case.size} RGB + depth{way}", case.overhead(ticks)
+                what = f"what the processes add at {case.size} RGB + depth{way}"
                 found.append(Target(what, f"< {100 * OVERHEAD:.0f} %", f"{100 * added:.0f} %", "", added < OVERHEAD))
     return found

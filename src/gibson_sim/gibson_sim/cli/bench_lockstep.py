@@ -11,11 +11,22 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.bench import timing
-from gibson_sim.bench.lockstep import STEP_HZ, Case, LockstepPlan, LockstepReport, alone, case_of, rate_of, targets
+from gibson_sim.bench.lockstep import (
+    STEP_HZ,
+    Alone,
+    Case,
+    LockstepPlan,
+    LockstepReport,
+    Turns,
+    case_of,
+    in_turns,
+    rate_of,
+    targets,
+)
 from gibson_sim.bench.protocol import write_changed_robot
 from gibson_sim.bench.render_report import table
 from gibson_sim.bench.ros import Size, Spread
-from gibson_sim.cli.bench_processes import CAMERA, BenchError, answer, process
+from gibson_sim.cli.bench_processes import CAMERA, BenchError, conversation, process
 from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.quiet import quiet
 from gibson_sim.cli.report_file import add_report_options, tell, write_json
@@ -75,36 +86,38 @@ def measure(
             pixels = size or _SMALLEST
             robot = write_changed_robot(Path(folder), (pixels.width, pixels.height))
             try:
-                tell(f"{name}: one process")
-                parts = alone(plan.scene, str(robot), size, ticks)
-                tell(f"{name}: lockstep")
-                heard = _lockstep(plan, environment, robot, size, ticks)
-                tell(f"{name}: lockstep in a pipeline")
-                cases.append(case_of(size, parts, heard, _lockstep(plan, environment, robot, size, ticks, "--pipelined")))
+                tell(f"{name}: one process and lockstep in turns")
+                lockstep = _turns(plan, environment, robot, size, ticks)
+                tell(f"{name}: the same in a pipeline")
+                cases.append(case_of(size, lockstep, _turns(plan, environment, robot, size, ticks, "--pipelined")))
             except BenchError as error:
                 left_out.append(f"{name}: {error}")
     remove_dead_segments()
     return replace(report, cases=tuple(cases), left_out=tuple(left_out))
 
 
-def _lockstep(
+def _turns(
     plan: LockstepPlan, environment: Mapping[str, str], robot: Path, size: Size | None, ticks: int, *further: str
-) -> dict[str, Any]:
+) -> Turns:
     hz = str(STEP_HZ)
     options = ["--scene", plan.scene, "--robot", str(robot), "--lockstep", "--participants", "bench_controller", "--rate", "max"]
     options += ["--step-hz", hz, "--publish-hz", hz, "--clock-hz", hz]
     options += ["--camera-rate", hz, "--camera-outputs", "rgb,depth"] if size else ["--no-render"]
     command = [sys.executable, "-m", "gibson_sim.cli.main", "run", *options, *further]
     topics = [f"{CAMERA}/image_raw", f"{CAMERA}/depth/image_raw"] if size else []
-    with process(command, environment):
-        return answer(environment, "controller", START_S + ticks, topics=topics, ticks=ticks)
+    with (
+        Alone(plan.scene, str(robot), size) as alone,
+        process(command, environment),
+        conversation(environment, "controller", START_S, topics=topics) as ask,
+    ):
+        return in_turns(alone, lambda count: ask({"ticks": count})["tick_ns"], ticks)
 
 
 def report_text(report: LockstepReport, *, markdown: bool = False) -> str:
     """Returns the whole report, plain for the terminal or as Markdown."""
     lines = [
         f"{report.machine}; {report.cores} cores usable, load {report.load:g}; Gibson Sim {report.version}; {report.date[:10]}.",
-        f"Scene {report.scene}, {STEP_HZ} Hz, one physics step a tick; milliseconds a tick, medians.",
+        f"Scene {report.scene}, {STEP_HZ} Hz, one physics step a tick; milliseconds a tick, medians; one process and the others in turns.",
         *(f"Left out: {line}" for line in report.left_out),
     ]
     parts = ["\n".join(f"- {line}" if markdown else line for line in lines)]
@@ -114,8 +127,8 @@ def report_text(report: LockstepReport, *, markdown: bool = False) -> str:
             (
                 f"{case.size} RGB + depth" if case.size else "none",
                 *(_median(part) for part in (case.physics, case.draw, case.one_process)),
-                *_way(case, case.lockstep),
-                *_way(case, case.pipelined),
+                *_way(case.lockstep, case.overheads[0]),
+                *_way(case.pipelined, case.overheads[1]),
             )
             for case in report.cases
         ]
@@ -125,8 +138,8 @@ def report_text(report: LockstepReport, *, markdown: bool = False) -> str:
     return "\n\n".join(parts)
 
 
-def _way(case: Case, ticks: Spread) -> tuple[str, str, str]:
-    return _median(ticks), f"{rate_of(ticks):,.0f}", f"{100 * case.overhead(ticks):.0f} %"
+def _way(ticks: Spread, added: float) -> tuple[str, str, str]:
+    return _median(ticks), f"{rate_of(ticks):,.0f}", f"{100 * added:.0f} %"
 
 
 def _median(part: Spread) -> str:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import queue
 import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from typing import Any
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from typing import IO, Any
 
 from gibson_sim.errors import GibsonSimError
 
@@ -82,6 +84,57 @@ def answer(environment: Mapping[str, str], role: str, expected_s: float, **optio
         raise BenchError(f"the {role} process ended with code {done.returncode}: {_last_line(done.stderr)}")
     found: dict[str, Any] = json.loads(lines[-1])
     return found
+
+
+@contextmanager
+def conversation(
+    environment: Mapping[str, str], role: str, expected_s: float, **options: Any
+) -> Iterator[Callable[[Mapping[str, Any]], dict[str, Any]]]:
+    """Plays a role while the block lasts, and yields what asks it: it takes a question and returns the answer, a line of JSON each.
+
+    What asks raises BenchError where there is no answer, or it takes far longer than ``expected_s``.
+    """
+    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
+        running = subprocess.Popen(
+            _command(role, options), env=dict(environment), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors
+        )
+        assert running.stdin is not None and running.stdout is not None
+        lines: queue.Queue[bytes] = queue.Queue()
+        reader = threading.Thread(target=_put_lines, args=(running.stdout, lines), daemon=True)
+        reader.start()
+
+        def ask(question: Mapping[str, Any]) -> dict[str, Any]:
+            assert running.stdin is not None
+            try:
+                running.stdin.write(json.dumps(question).encode() + b"\n")
+                running.stdin.flush()
+                line = lines.get(timeout=expected_s + PATIENCE_S)
+            except queue.Empty:
+                raise BenchError(f"the {role} process was still at it after {expected_s + PATIENCE_S:.0f} s") from None
+            except BrokenPipeError:
+                line = b""
+            if not line:
+                code = running.wait(PATIENCE_S)
+                errors.seek(0)
+                raise BenchError(f"the {role} process ended with code {code}: {_last_line(errors.read())}")
+            found: dict[str, Any] = json.loads(line)
+            return found
+
+        try:
+            yield ask
+        finally:
+            _end(running)
+            reader.join()
+            with suppress(BrokenPipeError):  # a question that nobody took
+                running.stdin.close()
+            running.stdout.close()
+
+
+def _put_lines(stream: IO[bytes], lines: queue.Queue[bytes]) -> None:
+    """Hands on what a process says, line by line, then an empty one."""
+    for line in stream:
+        lines.put(line)
+    lines.put(b"")
 
 
 def _last_line(text: str) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 import rclpy
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -37,8 +37,6 @@ PING, PONG, IMAGES = "gibson_sim_bench/ping", "gibson_sim_bench/pong", "gibson_s
 END = "end"
 """``frame_id`` of the last image."""
 WARM_UP_S, STRAGGLERS_S = 1.0, 0.5
-LOCKSTEP_WARM_UP = 20
-"""Ticks that do not count."""
 
 
 def pong(executor: str, form: str) -> None:
@@ -213,27 +211,56 @@ def pipeline_sink(topics: list[str], seconds: float) -> dict[str, Any]:
     return {"seconds": passed, "states": [s for s in states if s[0] <= last], "images": images}
 
 
-def controller(topics: list[str], ticks: int) -> dict[str, Any]:
-    """Takes part in lockstep: answers every odometry with a command, and listens to images. Returns ``tick_ns``: when each tick came."""
+def controller(topics: list[str]) -> None:
+    """Takes part in lockstep: answers every odometry with a command, and listens to images.
+
+    To each line ``{"ticks": N}`` on stdin it answers, once N more ticks have come, with ``tick_ns``: when each of them came, and the one
+    before. Between two lines time stands still.
+    """
     node = Node("bench_controller")
-    found: list[int] = []
+    found, held, last = list[int](), list[Odometry](), 0
+    drawn = dict.fromkeys(topics, 0)
     publisher = node.create_publisher(Twist, names.CMD_VEL, qos.COMMAND)
     command = Twist()
     command.linear.x, command.angular.z = 0.3, 0.5
 
     def on_odometry(msg: Odometry) -> None:
         found.append(time.monotonic_ns())
+        if len(found) > last:
+            held.append(msg)
+        else:
+            obey(msg)
+
+    def obey(msg: Odometry) -> None:
         publisher.publish(command)
         participant.done(msg.header.stamp, (publisher.topic_name,))
 
+    def on_image(topic: str, msg: Image) -> None:
+        drawn[topic] = conversions.time_from_msg(msg.header.stamp)
+
     for topic in topics:
-        node.create_subscription(Image, topic, lambda msg: None, qos.SENSOR)
+        node.create_subscription(Image, topic, partial(on_image, topic), qos.SENSOR)
     node.create_subscription(Odometry, names.ODOM, on_odometry, qos.STATE)
     participant = LockstepParticipant(node, after=names.ODOM)
     waiter = make_executor()
     waiter.add_node(node)
-    wait_until(lambda: len(found) > LOCKSTEP_WARM_UP + ticks, waiter, progress=lambda: len(found))
-    return {"tick_ns": found[LOCKSTEP_WARM_UP : LOCKSTEP_WARM_UP + ticks + 1]}
+    for line in sys.stdin:
+        begin = max(len(found), 1)
+        last = begin + json.loads(line)["ticks"] - 1
+        for msg in held:
+            obey(msg)
+        held.clear()
+        wait_until(lambda: bool(held), waiter, progress=lambda: len(found))
+        _wait_for_images(waiter, drawn, conversions.time_from_msg(held[0].header.stamp))
+        sys.stdout.write(json.dumps({"tick_ns": found[begin - 1 :]}) + "\n")
+        sys.stdout.flush()
+
+
+def _wait_for_images(waiter: Executor, drawn: dict[str, int], stamp_ns: int) -> None:
+    """Waits until the images of a tick are there, so that nobody works any more; one that is lost is not waited for."""
+    deadline = time.monotonic() + STRAGGLERS_S
+    while any(newest < stamp_ns for newest in drawn.values()) and time.monotonic() < deadline:
+        waiter.spin_once(timeout_sec=0.05)
 
 
 def _cpu_s() -> float:

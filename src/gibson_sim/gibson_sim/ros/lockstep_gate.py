@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 import time
 from collections.abc import Callable, Collection
 from typing import Any
@@ -11,11 +10,12 @@ from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.serialization import deserialize_message
 
 from gibson_msgs.msg import TickDone
+from gibson_sim.bags.stamps import stamp_ns
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import LockstepError
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.lockstep_client import reaches_all
-from gibson_sim.simulation.lockstep import Lockstep, parse_participants
+from gibson_sim.simulation.lockstep import CAMERAS, Lockstep, parse_participants
 from gibson_sim.types import NS_PER_S
 
 LATE_NS = 2 * NS_PER_S
@@ -99,8 +99,7 @@ class LockstepGate:
             if len(self._known) >= _MOST_KNOWN:
                 self._known.clear()
             msg = self._known[key] = deserialize_message(data, TickDone)
-        seconds, nanoseconds = struct.unpack_from("<iI", data, start)
-        return msg, seconds * NS_PER_S + nanoseconds
+        return msg, stamp_ns(data, start)
 
     def _on_done(self, data: bytes) -> None:
         now_ns, core, was_open = time.monotonic_ns(), self.core, self.core.is_open
@@ -185,15 +184,23 @@ class LockstepGate:
 
     def _hears_us(self, name: str) -> bool:
         """Returns whether all that a participant listens to reaches it: its messages may be here before its subscriptions are."""
-        return any(_full_name(p) == name and self._reaches(p) for p in self._node.get_publishers_info_by_topic(names.TICK_DONE))
+        after = next((p.after for p in self.core.participants if p.name == name), "")
+        topic = names.SCENE_STATE if after == CAMERAS else after
+        return any(
+            _full_name(p) == name and self._reaches(p, topic) for p in self._node.get_publishers_info_by_topic(names.TICK_DONE)
+        )
 
     def _is_heard_by(self, answer: str) -> bool:
         """Returns whether somebody publishes a topic, and all that those listen to reaches them."""
         found = [p for p in self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(answer)) if p.node_name]
         return bool(found) and all(map(self._reaches, found))
 
-    def _reaches(self, endpoint: Any) -> bool:
-        """Returns whether all that the node of an endpoint listens to reaches it; not while its name has not arrived."""
+    def _reaches(self, endpoint: Any, topic: str = "") -> bool:
+        """Returns whether all that the node of an endpoint listens to reaches it, a certain topic among it.
+
+        Not while its name has not arrived, nor while nothing is known of its subscription to that topic: news of publishers and of
+        subscriptions come apart from each other.
+        """
         node = self._node
         if not endpoint.node_namespace.startswith("/"):
             return False
@@ -201,7 +208,9 @@ class LockstepGate:
             found = node.get_subscriber_names_and_types_by_node(endpoint.node_name, endpoint.node_namespace)
         except NodeNameNonExistentError:
             return False
-        topics = {topic for topic, _ in found}
+        topics = {listened for listened, _ in found}
+        if topic and node.resolve_topic_name(topic) not in topics:
+            return False
         ours = [publisher for publisher in node.publishers if publisher.topic_name in topics]
         return all(reaches_all(node, publisher) for publisher in ours)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import struct
 import sys
 import time
 from dataclasses import dataclass, field
@@ -19,6 +18,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 
+from gibson_sim.bags.stamps import stamp_ns
 from gibson_sim.ros import names
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.message_types import UNKNOWN, message_class
@@ -87,8 +87,7 @@ class TopNode(Node):
             self._statuses[status.name] = (Status(status.name, level, status.message, values, 0.0), now)
 
     def _on_clock(self, data: bytes) -> None:
-        sec, nanosec = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
-        self._stamp_ns = sec * NS_PER_S + nanosec
+        self._stamp_ns = stamp_ns(data)
 
     def follow_topics(self) -> None:
         """Subscribes to topics that are new, if their rates are asked for."""

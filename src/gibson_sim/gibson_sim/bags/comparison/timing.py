@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gibson_sim.bags.comparison.recording import Arrivals
-from gibson_sim.bags.reader import nominal_period_ns
+from gibson_sim.bags.stamps import nominal_period_ns
 from gibson_sim.types import NS_PER_S
 
 SAME_CLOCK_S = 5.0

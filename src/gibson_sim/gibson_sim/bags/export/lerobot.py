@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.bags.export.job import ExportJob
 from gibson_sim.bags.export.read import ExportCamera
-from gibson_sim.bags.reader import header_stamp_ns, nominal_period_ns
+from gibson_sim.bags.stamps import header_stamp_ns, nominal_period_ns
 from gibson_sim.errors import EnvironmentProblemError, RecordError
 from gibson_sim.geometry.transforms import yaw_from_quat
 from gibson_sim.types import NS_PER_S

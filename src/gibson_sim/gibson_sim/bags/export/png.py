@@ -11,7 +11,7 @@ import numpy as np
 from gibson_sim.bags.export.files import ImageFiles, image_suffix, seconds, write_table
 from gibson_sim.bags.export.job import ExportJob
 from gibson_sim.bags.export.read import ExportCamera, nearest
-from gibson_sim.bags.reader import header_stamp_ns
+from gibson_sim.bags.stamps import header_stamp_ns
 from gibson_sim.geometry.transforms import pose_from_matrix
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.bags.export.read import ExportCamera
-from gibson_sim.bags.reader import BagReader, header_stamp_ns
+from gibson_sim.bags.reader import BagReader
 from gibson_sim.bags.rerender import SCENE_TYPE, STATE_TYPE
+from gibson_sim.bags.stamps import header_stamp_ns
 from gibson_sim.errors import RecordError
 from gibson_sim.geometry.interpolation import slerp
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, matrix_from_quat

@@ -1,0 +1,37 @@
+"""Stamps of messages, as bytes and as series. Needs no library that reads bags."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.types import NS_PER_S
+
+
+def stamp_ns(data: bytes, at: int = 4) -> int:
+    """Returns a stamp in a message's CDR bytes, nanoseconds.
+
+    Args:
+        data: the message.
+        at: where the stamp begins; 4 = at the start, as where the type begins with a Header or a Time.
+    """
+    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, at)
+    return int(seconds) * NS_PER_S + int(nanoseconds)
+
+
+def header_stamp_ns(stamp: Any) -> int:
+    """Returns a ``builtin_interfaces/Time`` in nanoseconds."""
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def nominal_period_ns(stamps: NDArray[np.int64]) -> float:
+    """Returns the period of a series of rising stamps (N,), nanoseconds, gaps left out; 0.0 if there are fewer than two."""
+    steps = np.diff(stamps)
+    steps = steps[steps > 0]
+    if not len(steps):
+        return 0.0
+    # Ticks quantise the stamps (33, 33, 50 ms), so the median alone is not the period; a lost frame doubles a step.
+    return float(steps[steps <= 1.6 * np.median(steps)].mean())
