@@ -336,9 +336,11 @@ def test_every_combination_of_lights_and_materials_compiles() -> None:
                 ("MOVING", "CUT", "TEXTURED", *surface, "LABELS", "NORMALS", "FLOW"),
             ):
                 defines = (*lit, *others)
-                before = ("lighting.glsl", *(("looks.glsl",) if "LOOKED" in lit else ()))
+                before = ("view.glsl", "lighting.glsl", *(("looks.glsl",) if "LOOKED" in lit else ()))
                 fragment = shader_text("scene.frag", defines, before)
-                context.gl.program(vertex_shader=shader_text("scene.vert", defines), fragment_shader=fragment).release()
+                context.gl.program(
+                    vertex_shader=shader_text("scene.vert", defines, ("view.glsl",)), fragment_shader=fragment
+                ).release()
     finally:
         context.close()
 

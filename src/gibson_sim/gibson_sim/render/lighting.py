@@ -144,7 +144,9 @@ class Sky:
         self._gl = GL.Gl(context)
         self._texture = self._gl.create("glCreateTextures", GL.TEXTURE_2D)
         _fill(self._gl, self._texture, image.astype(np.float16), GL.RGB16F, GL.RGB)
-        self._program = context.gl.program(vertex_shader=shader_text("sky.vert"), fragment_shader=shader_text("sky.frag"))
+        self._program = context.gl.program(
+            vertex_shader=shader_text("sky.vert", before=("view.glsl",)), fragment_shader=shader_text("sky.frag")
+        )
         self._array = context.gl.vertex_array(self._program, [])
 
     def draw(self, features: tuple[Feature, ...]) -> None:

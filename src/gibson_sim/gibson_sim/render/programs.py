@@ -64,14 +64,15 @@ class Programs:
         lit: tuple[str, ...] = ()
         if lights:
             lit = (*self._light, *(("GLOSS",) if batch.glossy else ()), *(("MATERIAL_MAPS",) if batch.maps >= 0 else ()))
-        before = (*(("lighting.glsl",) if lights else ()), *(("looks.glsl",) if flags["LOOKED"] else ()))
+        before = ("view.glsl", *(("lighting.glsl",) if lights else ()), *(("looks.glsl",) if flags["LOOKED"] else ()))
         return self._program((*(name for name, on in flags.items() if on), *lit, *features), "scene.frag", before)
 
     def _program(self, defines: tuple[str, ...], fragment: str, before: tuple[str, ...]) -> moderngl.Program:
         key = (fragment, *defines)
         if key not in self._made:
             program = self._context.gl.program(
-                vertex_shader=shader_text("scene.vert", defines), fragment_shader=shader_text(fragment, defines, before)
+                vertex_shader=shader_text("scene.vert", defines, ("view.glsl",)),
+                fragment_shader=shader_text(fragment, defines, before),
             )
             if "u_texture" in program:
                 program["u_texture"] = 0

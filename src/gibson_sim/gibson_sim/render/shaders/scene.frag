@@ -13,20 +13,6 @@ in vec3 v_position;
 in vec3 v_normal;
 #endif
 
-layout(std140, binding = 0) uniform View {
-    mat4 clip_from_world;
-    mat4 clip_from_world_before;
-    mat4 optical_from_world;
-    vec4 eye;
-    vec4 size;
-};
-
-struct Material {
-    vec4 color;
-    vec4 surface;  // metallic, roughness, alpha below which nothing is solid, 1 = unlit
-    vec4 glow;     // emission
-    vec4 maps;     // as apply_maps in lighting.glsl takes it
-};
 #ifndef MATERIALS
 uniform vec4 u_color;
 uniform vec4 u_surface;

@@ -12,14 +12,6 @@ layout(location = 4) in uint in_label;  // semantic class, and instance in the u
 flat out uint v_label;
 #endif
 
-layout(std140, binding = 0) uniform View {
-    mat4 clip_from_world;
-    mat4 clip_from_world_before;  // of the state before, for the flow
-    mat4 optical_from_world;      // rotation only
-    vec4 eye;                     // world frame
-    vec4 size;                    // width, height of the picture in pixels, near
-};
-
 #ifdef MOVING
 layout(location = 5) in uint in_link;
 layout(location = 6) in uint in_placed_label;     // is added to the label of the vertices
@@ -48,7 +40,6 @@ out vec2 v_uv;
 flat out uint v_material;
 #endif
 #ifdef MATERIALS
-struct Material { vec4 color, surface, glow, maps; };  // as in scene.frag
 layout(std430, binding = 2) readonly buffer Materials { Material materials[]; };
 flat out vec4 v_base_color;
 flat out vec4 v_surface;

@@ -1,11 +1,4 @@
 // One triangle over all of the picture, as far away as can be, with the way that each pixel looks.
-layout(std140, binding = 0) uniform View {
-    mat4 clip_from_world;
-    mat4 clip_from_world_before;
-    mat4 optical_from_world;
-    vec4 eye;
-    vec4 size;
-};
 out vec3 v_direction;  // world frame, any length
 
 void main() {
