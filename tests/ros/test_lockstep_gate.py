@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import logging
+
 import pytest
 
 rclpy = pytest.importorskip("rclpy")
 
+from collections.abc import Callable  # noqa: E402
 from types import SimpleNamespace  # noqa: E402
 from typing import Any  # noqa: E402
 
+from rclpy.parameter import Parameter  # noqa: E402
+from rclpy.serialization import serialize_message  # noqa: E402
+
+from gibson_msgs.msg import TickDone  # noqa: E402
 from gibson_sim.config import PhysicsConfig  # noqa: E402
 from gibson_sim.ros import names  # noqa: E402
 from gibson_sim.ros.lockstep_gate import LockstepGate  # noqa: E402
+from gibson_sim.ros.physics_node import PhysicsNode  # noqa: E402
 from gibson_sim.simulation.lockstep import CAMERAS  # noqa: E402
 
 
@@ -30,6 +38,9 @@ class Graph:
 
     def create_subscription(self, *_: Any, **__: Any) -> None:
         pass
+
+    def get_logger(self) -> logging.Logger:
+        return logging.getLogger("simulation")
 
     def resolve_topic_name(self, topic: str) -> str:
         return topic if topic.startswith("/") else f"/{topic}"
@@ -57,6 +68,50 @@ def test_one_whose_subscription_is_not_known_yet_is_waited_for(after: str, topic
     assert not gate._hears_us("nav")
     graph.matched[topic] = 1
     assert gate._hears_us("nav")
+
+
+class Beside:
+    """The context of commands of a second type: it has heard nobody yet."""
+
+    def __init__(self) -> None:
+        self.take: Callable[[Any], None] | None = None
+
+    def hear(self, kind: type[Any], topic: str, profile: Any, take: Callable[[Any], None]) -> str:
+        self.take = take
+        return topic
+
+    def unsubscribe(self, subscription: str) -> None:
+        assert subscription == names.TICK_DONE
+        self.take = None
+
+
+def test_time_waits_until_both_contexts_have_heard_a_participant_join() -> None:
+    graph, beside = Graph(), Beside()
+    graph.listens_to, graph.matched = ["/odom"], {"/odom": 1}
+    gate = LockstepGate(graph, PhysicsConfig(lockstep=True, participants="nav"), lambda: None, lambda again: None)  # type: ignore[arg-type]
+    gate.listen(beside)  # type: ignore[arg-type]
+    joins = TickDone(event=TickDone.JOIN, participant="nav", after="odom")
+    gate._on_done(serialize_message(joins))
+    assert not gate.may_go()  # its commands as TwistStamped might be lost
+    assert beside.take is not None
+    beside.take(joins)
+    assert gate.may_go()
+    assert gate.may_go() and beside.take is None  # nor does it hear each tick being done
+
+
+def test_who_can_join_knows_of_all_that_takes_commands(ros_context: Any) -> None:
+    """News of subscriptions come in the order in which they were made."""
+    settings = {"scene": "flat", "robot": "gibson_bot", "lockstep": True}
+    node = PhysicsNode(
+        context=ros_context, use_global_arguments=False, parameter_overrides=[Parameter(k, value=v) for k, v in settings.items()]
+    )
+    try:
+        topics = [subscription.topic_name for subscription in node.subscriptions]
+        assert f"/{names.CMD_VEL}" in topics
+        assert topics[-1] == f"/{names.TICK_DONE}"
+    finally:
+        node.close()
+        node.destroy_node()
 
 
 def test_one_that_does_not_say_what_it_waits_for_hears_us_once_all_that_is_known_reaches_it() -> None:

@@ -123,10 +123,11 @@ def conversation(
         try:
             yield ask
         finally:
-            _end(running)
-            reader.join()
             with suppress(BrokenPipeError):  # a question that nobody took
                 running.stdin.close()
+            # Python looks for signals after a read, not before it: one that is about to wait for a question ends only where it is closed.
+            _end(running)
+            reader.join()
             running.stdout.close()
 
 

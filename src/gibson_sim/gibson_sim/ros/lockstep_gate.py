@@ -15,6 +15,7 @@ from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import LockstepError
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.lockstep_client import reaches_all
+from gibson_sim.ros.stamped_commands import StampedCommands
 from gibson_sim.simulation.lockstep import CAMERAS, Lockstep, parse_participants
 from gibson_sim.types import NS_PER_S
 
@@ -43,7 +44,7 @@ class LockstepGate:
     def __init__(
         self, node: Node, config: PhysicsConfig, go_on: Callable[[], None], publish_again: Callable[[bool], None]
     ) -> None:
-        """Starts to listen.
+        """Hears nobody before ``listen``.
 
         Args:
             node: the physics node.
@@ -66,9 +67,24 @@ class LockstepGate:
         self.timeouts = 0
         self.failure: LockstepError | None = None
         """Why the run has to end."""
+        self._stamped: StampedCommands | None = None
+        self._beside: Any = None
+        """What hears participants join in the context of commands of a second type; None once time has begun."""
+        self._joined_beside: set[str] = set()
         self._known: dict[bytes, Any] = {}
         """Messages by all their bytes but for the stamp: those of a participant differ in nothing else, tick after tick."""
-        node.create_subscription(TickDone, names.TICK_DONE, self._on_done, qos.TICK_DONE, raw=True)
+
+    def listen(self, stamped: StampedCommands) -> None:
+        """Lets participants join; the node must listen to all commands by now.
+
+        News of a context's subscriptions come in the order in which they were made. So whose JOIN arrives knows of all the others already, and
+        none of the commands that it sends from then on is lost; those under a second type once it has arrived in their context, too.
+        """
+        self._stamped = stamped
+        self._beside = stamped.hear(
+            TickDone, names.TICK_DONE, qos.TICK_DONE, lambda msg: self._joined_beside.add(msg.participant)
+        )
+        self._node.create_subscription(TickDone, names.TICK_DONE, self._on_done, qos.TICK_DONE, raw=True)
 
     def publish_tick(self, stamp_ns: int, topics: Callable[[], Collection[str]]) -> None:
         """Takes note that a tick was published; ``topics`` says with what, if anybody wants to know."""
@@ -151,8 +167,9 @@ class LockstepGate:
     def _is_heard(self, now_ns: int) -> bool:
         """Returns whether everybody hears what is published from now on."""
         if not self._new and not self._strangers:
+            self._end_listening_beside()
             return True
-        self._new = {n: since for n, since in self._new.items() if now_ns - since < _MATCHING_NS and not self._hears_us(n)}
+        self._new = {n: since for n, since in self._new.items() if now_ns - since < _MATCHING_NS and not self._is_ready(n)}
         rules = {p.name: p.answer for p in self.core.participants}
         heard = {n: since or now_ns if self._is_heard_by(rules[n]) else 0 for n, since in self._strangers.items()}
         self._strangers = {n: since for n, since in heard.items() if not since or now_ns - since < _SETTLED_NS}
@@ -181,6 +198,15 @@ class LockstepGate:
             f"lockstep: {late} {what}: this tick goes on without it; the run cannot be repeated to the bit"
         )
         return True
+
+    def _is_ready(self, name: str) -> bool:
+        """Returns whether all between a participant and us arrives."""
+        return (self._beside is None or name in self._joined_beside) and self._hears_us(name)
+
+    def _end_listening_beside(self) -> None:
+        if self._beside is not None and self._stamped is not None:
+            self._stamped.unsubscribe(self._beside)
+            self._beside = None
 
     def _hears_us(self, name: str) -> bool:
         """Returns whether all that a participant listens to reaches it: its messages may be here before its subscriptions are."""

@@ -98,6 +98,8 @@ class PhysicsNode(Node):
         self._done = False
         self._standard = SimulationServices(self, self.simulator, config.service_prefix, self._journal.note)
         self._follow_changes()
+        if self._gate is not None:
+            self._gate.listen(self._stamped)
         spec = self.simulator.scene
         self._run_info = publish_run_info(self, "physics", config, self._stamp_ns, scene_digest=spec.content_hash)
         places = "; ".join(f"{r.name} at {r.start.position[0]:.2f},{r.start.position[1]:.2f}" for r in spec.robots)

@@ -10,6 +10,7 @@ from typing import Any
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 
 from gibson_sim.ros import qos
 
@@ -50,6 +51,10 @@ class StampedCommands:
             self.wake()
 
         return self._node.create_subscription(kind, topic, take, qos.COMMAND)
+
+    def hear(self, kind: type[Any], topic: str, profile: QoSProfile, take: Callable[[Any], None]) -> Any:
+        """Returns a subscription whose messages go to ``take``, in the thread of this class."""
+        return self._node.create_subscription(kind, self._owner.resolve_topic_name(topic), take, profile)
 
     def arrived(self) -> list[str]:
         """Returns the topics of what arrived since the last call, once for each message. For the main thread."""
