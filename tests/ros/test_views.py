@@ -55,7 +55,8 @@ def test_views_stand_in_scene_and_state_and_on_tf_with_one_stamp(world: PhysicsW
     topics = WorldInterface(node, config, None)  # type: ignore[arg-type]
     topics.publish_scene(world)
     world.step()
-    due = topics.publish_state(world.state(), 2, 0, 1)
+    due = [topics.cameras[i] for i in topics.due(2)]
+    topics.publish_state(world.state(), topics.due(2), 0, 1)
     (scene,), (state,), (tf,) = node.sent["scene"], node.sent["scene_state"], node.sent["/tf"]
     assert isinstance(scene, Scene) and isinstance(state, SceneState) and isinstance(tf, TFMessage)
     names = ["view_follow", "view_follow_right", "view_top", "view_orbit"]
@@ -87,7 +88,7 @@ def test_a_view_goes_and_comes_with_its_target(world: PhysicsWorld, caplog: pyte
         change()
         topics.publish_scene(world)
         world.step()
-        topics.publish_state(world.state(), 1, 0, 1)
+        topics.publish_state(world.state(), topics.due(1), 0, 1)
     views = ["view_top", "view_follow_right"]
     assert [scene.links[-2:] == views for scene in node.sent["scene"]] == [True, False, True]
     assert [len(tf.transforms) for tf in node.sent["/tf"]] == [2, 1, 2]

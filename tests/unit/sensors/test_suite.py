@@ -150,6 +150,22 @@ def test_same_seed_gives_the_same_bits_whatever_else_is_measured(robot: RobotSpe
     assert numbers({step: one[step] for step in common}) == numbers(other)
 
 
+def test_lidars_that_nobody_wants_are_left_out_and_later_ones_are_the_same(robot: RobotSpec) -> None:
+    all_of_it = run(SensorSuite(robot, STEP_HZ, PUBLISH_HZ, GRAVITY), FakeWorld(), 1, 96)
+    suite, world = SensorSuite(robot, STEP_HZ, PUBLISH_HZ, GRAVITY), FakeWorld()
+    found = {}
+    for step in range(1, 97):
+        world.step = step
+        wanted = ["scan"] if step > 48 else []
+        found[step] = suite.measure(world, step, stamp(step), wanted.__contains__)
+    assert not any(got.scans or got.clouds for step, got in found.items() if step <= 48)
+    assert [[scan.name for scan in found[step].scans] for step in (72, 96)] == [["scan"], ["scan"]]
+    for step in (72, 96):
+        np.testing.assert_array_equal(found[step].scans[0].ranges, all_of_it[step].scans[0].ranges)
+        assert found[step].bumpers[0].force.tolist() == all_of_it[step].bumpers[0].force.tolist()
+    assert not any(suite.misses.values())
+
+
 def test_other_seed_gives_other_errors(robot: RobotSpec) -> None:
     one, other = (numbers(run(SensorSuite(robot, STEP_HZ, PUBLISH_HZ, GRAVITY, seed), FakeWorld(), 1, 100)) for seed in (7, 8))
     assert not np.isclose(np.concatenate(one), np.concatenate(other)).all()

@@ -1,13 +1,13 @@
-"""What lockstep costs: the same ticks in one process, and in processes that wait for each other.
+"""What lockstep costs: the same ticks without ROS, with both nodes in one process, and in processes that wait for each other.
 
-``Alone`` makes ticks in this process; the other side is what ``cli.bench_lockstep`` starts. Both make ticks in turns, a block at a time: the
+``Alone`` makes ticks in this process; the others are what ``cli.bench_lockstep`` starts. All make ticks in turns, a block at a time: the
 machine that is measured may be twice as fast a minute later.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from types import TracebackType
 from typing import Any
@@ -25,12 +25,14 @@ from gibson_sim.types import SceneState, VelocityCommand
 
 STEP_HZ = 240
 """Physics steps, and ticks, in a second of simulation time: one step a tick."""
-TICKS_PER_S, OVERHEAD = 1000.0, 0.20
+TICKS_PER_S, SPLIT = 1000.0, 0.20
 """Targets for two cores: ticks without images, and what the split into processes may add where images are drawn."""
 BLOCKS = 10
-"""So often either side has its turn, after a first one that does not count."""
+"""So often each side has its turn, after a first one that does not count."""
 WARM_UP = 3
 """Ticks of each block that do not count."""
+ONE_PROCESS, LOCKSTEP, PIPELINED = WAYS = ("one_process", "lockstep", "pipelined")
+"""Ways with ROS: both nodes in one process, each in its own, the same in a pipeline."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,26 +54,32 @@ class LockstepPlan:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """Milliseconds a tick, with RGB and depth of a size or without images."""
+    """Milliseconds a tick, with RGB and depth of a size or without images; all in turns with each other."""
 
     size: Size | None
     physics: Spread
-    """A step, all poses, what is due of the sensors; in one process."""
+    """A step, all poses, what is due of the sensors; without ROS."""
     draw: Spread
     """NaN without images."""
+    without_ros: Spread
+    """Physics and drawing, one after the other."""
     one_process: Spread
-    """Physics and drawing, one after the other, in turns with ``lockstep``."""
+    """From tick to tick, both nodes in one process, with a controller in another that answers every tick, and listens to the images. NaN
+    without images: there is one node then."""
     lockstep: Spread
-    """From tick to tick, with a controller in a process of its own that answers every one, and listens to the images."""
-    beside_pipeline: Spread
-    """As ``one_process``, in turns with ``pipelined``."""
+    """As ``one_process``, each node in a process of its own."""
     pipelined: Spread
     """As ``lockstep`` where physics makes the next tick while the others do this one."""
 
     @property
-    def overheads(self) -> tuple[float, float]:
-        """What the processes add in lockstep and in a pipeline, each as a part of one process."""
-        return self.lockstep.median / self.one_process.median - 1.0, self.pipelined.median / self.beside_pipeline.median - 1.0
+    def split(self) -> tuple[float, float]:
+        """What the split into processes adds in lockstep and in a pipeline, each as a part of one process; NaN without images."""
+        return self.lockstep.median / self.one_process.median - 1.0, self.pipelined.median / self.one_process.median - 1.0
+
+    @property
+    def ros(self) -> float:
+        """What ROS adds in lockstep, messages, processes and controller together, as a part of what it takes without."""
+        return self.lockstep.median / self.without_ros.median - 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,23 +100,24 @@ class LockstepReport:
         found = asdict(self)
         for case, values in zip(self.cases, found["cases"], strict=True):
             values["ticks_per_s"] = {"lockstep": rate_of(case.lockstep), "pipelined": rate_of(case.pipelined)}
-            values["overhead"] = dict(zip(("lockstep", "pipelined"), case.overheads, strict=True))
+            values["split"] = dict(zip(("lockstep", "pipelined"), case.split, strict=True))
+            values["ros"] = case.ros
         cleaned: dict[str, Any] = without_nan(found)
         return cleaned
 
 
 @dataclass(slots=True)
 class Turns:
-    """Milliseconds of each tick that counts: of one process, and of processes in turns with it."""
+    """Milliseconds of each tick that counts: without ROS, and of what has turns with it."""
 
     physics: list[float] = field(default_factory=list)
     draw: list[float] = field(default_factory=list)
     """Empty without images."""
-    processes: list[float] = field(default_factory=list)
-    """From tick to tick."""
+    others: dict[str, list[float]] = field(default_factory=dict)
+    """From tick to tick, by the name of the way."""
 
     @property
-    def one_process(self) -> list[float]:
+    def without_ros(self) -> list[float]:
         """Physics and drawing."""
         return [sum(parts) for parts in zip(self.physics, self.draw, strict=True)] if self.draw else self.physics
 
@@ -160,19 +169,20 @@ class Alone:
         return world.state()
 
 
-def in_turns(alone: Alone, others: Callable[[int], Sequence[int]], ticks: int) -> Turns:
-    """Returns the times of about ``ticks`` ticks of either side.
+def in_turns(alone: Alone, others: Mapping[str, Callable[[int], Sequence[int]]], ticks: int) -> Turns:
+    """Returns the times of about ``ticks`` ticks of each side.
 
     Args:
         alone: one side.
-        others: makes so many ticks of the other side, and returns when each came, and the one before the first; nanoseconds.
+        others: by the names of the ways, what makes so many ticks, and returns when each came, and the one before the first; nanoseconds.
         ticks: of each side.
     """
-    turns, size = Turns(), max(1, ticks // BLOCKS)
+    turns, size = Turns(others={name: [] for name in others}), max(1, ticks // BLOCKS)
     for block in range(1 + BLOCKS):
-        found = Turns() if not block else turns
-        alone.block(size, found)
-        found.processes += (np.diff(np.asarray(others(size + WARM_UP), dtype=np.float64))[WARM_UP:] / 1e6).tolist()
+        alone.block(size, turns if block else Turns())
+        for name, make in others.items():
+            took = np.diff(np.asarray(make(size + WARM_UP), dtype=np.float64))[WARM_UP:] / 1e6
+            turns.others[name] += took.tolist() if block else []
     return turns
 
 
@@ -181,17 +191,10 @@ def rate_of(ticks: Spread) -> float:
     return 1e3 / ticks.median
 
 
-def case_of(size: Size | None, lockstep: Turns, pipelined: Turns) -> Case:
-    """Returns a case from what was measured of both ways."""
-    return Case(
-        size,
-        spread(lockstep.physics),
-        spread(lockstep.draw),
-        spread(lockstep.one_process),
-        spread(lockstep.processes),
-        spread(pipelined.one_process),
-        spread(pipelined.processes),
-    )
+def case_of(size: Size | None, turns: Turns) -> Case:
+    """Returns a case from what was measured of all ways, which ``WAYS`` names."""
+    others = {way: spread(turns.others.get(way, ())) for way in WAYS}
+    return Case(size, spread(turns.physics), spread(turns.draw), spread(turns.without_ros), **others)
 
 
 def targets(cases: Sequence[Case]) -> list[Target]:
@@ -199,7 +202,7 @@ def targets(cases: Sequence[Case]) -> list[Target]:
     found = []
     for case in cases:
         ways = ("", case.lockstep), (", in a pipeline", case.pipelined)
-        for (way, ticks), added in zip(ways, case.overheads, strict=True):
+        for (way, ticks), added in zip(ways, case.split, strict=True):
             if case.size is None:
                 rate = rate_of(ticks)
                 found.append(
@@ -207,5 +210,5 @@ def targets(cases: Sequence[Case]) -> list[Target]:
                 )
             else:
                 what = f"what the processes add at {case.size} RGB + depth{way}"
-                found.append(Target(what, f"< {100 * OVERHEAD:.0f} %", f"{100 * added:.0f} %", "", added < OVERHEAD))
+                found.append(Target(what, f"< {100 * SPLIT:.0f} %", f"{100 * added:.0f} %", "", added < SPLIT))
     return found

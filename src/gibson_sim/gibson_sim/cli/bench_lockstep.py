@@ -5,14 +5,19 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from gibson_sim.bench import timing
 from gibson_sim.bench.lockstep import (
+    ONE_PROCESS,
+    PIPELINED,
     STEP_HZ,
+    WAYS,
     Alone,
     Case,
     LockstepPlan,
@@ -26,12 +31,18 @@ from gibson_sim.bench.lockstep import (
 from gibson_sim.bench.protocol import write_changed_robot
 from gibson_sim.bench.render_report import table
 from gibson_sim.bench.ros import Size, Spread
-from gibson_sim.cli.bench_processes import CAMERA, BenchError, conversation, process
-from gibson_sim.cli.environment import node_environment, require_nodes
+from gibson_sim.cli.bench_processes import CAMERA, BenchError, conversation, process, role
+from gibson_sim.cli.environment import domain_of, node_environment, require_nodes
 from gibson_sim.cli.quiet import quiet
 from gibson_sim.cli.report_file import add_report_options, tell, write_json
 from gibson_sim.cli.shared_memory import remove_dead_segments
 
+_COLUMNS = (
+    "no ROS: physics and drawing, one after the other. One process: both nodes in one process and thread, a controller in another that\n"
+    "answers each tick and takes the images. Lockstep: each node in its own. Split: lockstep against one process; ROS: against none."
+)
+_DOMAINS = 233
+"""ROS has as many."""
 START_S = 90.0
 """Within so long a simulation has loaded its scene."""
 _SMALLEST = Size(16, 16)
@@ -75,71 +86,104 @@ def measure(
         domain_id: ROS domain; None = as the environment says.
         tell: is told in one line what is going on.
     """
-    environment = node_environment(domain_id=domain_id, here_alone=True)
     report = LockstepReport(timing.now(), timing.version(), timing.machine(), timing.cores(), timing.load(), plan.scene)
     cases: list[Case] = []
     left_out: list[str] = []
     for size in (None, *plan.sizes):
         name = f"{size} RGB + depth at every tick" if size else "no images"
-        ticks = plan.image_ticks if size else plan.ticks
         with tempfile.TemporaryDirectory(prefix="gibson-sim-bench-") as folder:
             pixels = size or _SMALLEST
             robot = write_changed_robot(Path(folder), (pixels.width, pixels.height))
             try:
-                tell(f"{name}: one process and lockstep in turns")
-                lockstep = _turns(plan, environment, robot, size, ticks)
-                tell(f"{name}: the same in a pipeline")
-                cases.append(case_of(size, lockstep, _turns(plan, environment, robot, size, ticks, "--pipelined")))
+                tell(f"{name}: all ways in turns")
+                cases.append(case_of(size, _turns(plan, domain_id, robot, size)))
             except BenchError as error:
                 left_out.append(f"{name}: {error}")
     remove_dead_segments()
     return replace(report, cases=tuple(cases), left_out=tuple(left_out))
 
 
-def _turns(
-    plan: LockstepPlan, environment: Mapping[str, str], robot: Path, size: Size | None, ticks: int, *further: str
-) -> Turns:
-    hz = str(STEP_HZ)
-    options = ["--scene", plan.scene, "--robot", str(robot), "--lockstep", "--participants", "bench_controller", "--rate", "max"]
-    options += ["--step-hz", hz, "--publish-hz", hz, "--clock-hz", hz]
-    options += ["--camera-rate", hz, "--camera-outputs", "rgb,depth"] if size else ["--no-render"]
-    command = [sys.executable, "-m", "gibson_sim.cli.main", "run", *options, *further]
+def _turns(plan: LockstepPlan, domain_id: int | None, robot: Path, size: Size | None) -> Turns:
+    """Returns the ticks of all ways, each of those with ROS in a domain of its own."""
+    hz = STEP_HZ
+    settings: dict[str, Any] = {
+        "scene": plan.scene,
+        "robot": str(robot),
+        "lockstep": True,
+        "participants": "bench_controller",
+        "rate": 0.0,
+    }
+    settings |= {"step_hz": hz, "publish_hz": hz, "clock_hz": hz}
+    settings |= {"camera_rate": float(hz), "camera_outputs": "rgb,depth"} if size else {}
     topics = [f"{CAMERA}/image_raw", f"{CAMERA}/depth/image_raw"] if size else []
-    with (
-        Alone(plan.scene, str(robot), size) as alone,
-        process(command, environment),
-        conversation(environment, "controller", START_S, topics=topics) as ask,
-    ):
-        return in_turns(alone, lambda count: ask({"ticks": count})["tick_ns"], ticks)
+    first = domain_of(node_environment(domain_id=domain_id))
+    ways: dict[str, Callable[[int], Sequence[int]]] = {}
+    with ExitStack() as stack:
+        alone = stack.enter_context(Alone(plan.scene, str(robot), size))
+        for number, way in enumerate(WAYS):
+            if way == ONE_PROCESS and not size:
+                continue  # one node, as in lockstep
+            environment = node_environment(domain_id=(first + number) % _DOMAINS, here_alone=True)
+            if way == ONE_PROCESS:
+                both = {**settings, "participants": "render;bench_controller"}
+                stack.enter_context(role(environment, ONE_PROCESS, physics=both, render={}))
+            else:
+                stack.enter_context(process(_command(settings, bool(size), way == PIPELINED), environment))
+            ask = stack.enter_context(conversation(environment, "controller", START_S, topics=topics))
+            ways[way] = partial(_make_ticks, ask)
+        return in_turns(alone, ways, plan.image_ticks if size else plan.ticks)
+
+
+def _command(settings: Mapping[str, Any], draws: bool, pipelined: bool) -> list[str]:
+    """Returns what starts a simulation with the settings of its physics node."""
+    command = [sys.executable, "-m", "gibson_sim.cli.main", "run"]
+    for name, value in {**settings, "rate": "max", "pipelined": pipelined}.items():
+        option = f"--{name.replace('_', '-')}"
+        command += [option] * value if isinstance(value, bool) else [option, str(value)]
+    return command if draws else [*command, "--no-render"]
+
+
+def _make_ticks(ask: Callable[[Mapping[str, Any]], dict[str, Any]], count: int) -> Sequence[int]:
+    found: list[int] = ask({"ticks": count})["tick_ns"]
+    return found
 
 
 def report_text(report: LockstepReport, *, markdown: bool = False) -> str:
     """Returns the whole report, plain for the terminal or as Markdown."""
     lines = [
         f"{report.machine}; {report.cores} cores usable, load {report.load:g}; Gibson Sim {report.version}; {report.date[:10]}.",
-        f"Scene {report.scene}, {STEP_HZ} Hz, one physics step a tick; milliseconds a tick, medians; one process and the others in turns.",
+        f"Scene {report.scene}, {STEP_HZ} Hz, one physics step a tick; milliseconds a tick, medians; all ways in turns.",
         *(f"Left out: {line}" for line in report.left_out),
     ]
     parts = ["\n".join(f"- {line}" if markdown else line for line in lines)]
     if report.cases:
-        head = ("images", "physics", "draw", "one process", "lockstep", "ticks/s", "added", "pipelined", "ticks/s", "added")
+        head = (
+            *("images", "physics", "draw", "no ROS", "one process"),
+            *("lockstep", "ticks/s", "split adds", "ROS adds", "pipelined", "ticks/s", "split adds"),
+        )
         rows = [
             (
                 f"{case.size} RGB + depth" if case.size else "none",
-                *(_median(part) for part in (case.physics, case.draw, case.one_process)),
-                *_way(case.lockstep, case.overheads[0]),
-                *_way(case.pipelined, case.overheads[1]),
+                *(_median(part) for part in (case.physics, case.draw, case.without_ros, case.one_process)),
+                *_way(case.lockstep, case.split[0]),
+                _percent(case.ros),
+                *_way(case.pipelined, case.split[1]),
             )
             for case in report.cases
         ]
         parts.append(table(head, rows, markdown, left=(0,)))
+        parts.append(_COLUMNS)
         reached = [(t.what, t.wanted, t.measured, "met" if t.met else "MISSED") for t in targets(report.cases)]
         parts += ["Targets for two cores:", table(("what", "wanted", "measured", ""), reached, markdown, left=(0, 1, 3))]
     return "\n\n".join(parts)
 
 
 def _way(ticks: Spread, added: float) -> tuple[str, str, str]:
-    return _median(ticks), f"{rate_of(ticks):,.0f}", f"{100 * added:.0f} %"
+    return _median(ticks), f"{rate_of(ticks):,.0f}", _percent(added)
+
+
+def _percent(part: float) -> str:
+    return "-" if part != part else f"{100 * part:.0f} %"
 
 
 def _median(part: Spread) -> str:

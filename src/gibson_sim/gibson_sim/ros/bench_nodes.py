@@ -30,6 +30,8 @@ from gibson_sim.ros.fast_images import image_to_bytes
 from gibson_sim.ros.fast_publish import FastClock, FastSceneState
 from gibson_sim.ros.lockstep_client import LockstepParticipant
 from gibson_sim.ros.node_main import end_with_parent, keep_large_blocks
+from gibson_sim.ros.physics_node import PhysicsNode
+from gibson_sim.ros.render_node import RenderNode
 from gibson_sim.scenes.spec import WORLD_FRAME
 from gibson_sim.types import NS_PER_S, SceneState
 
@@ -211,6 +213,17 @@ def pipeline_sink(topics: list[str], seconds: float) -> dict[str, Any]:
     return {"seconds": passed, "states": [s for s in states if s[0] <= last], "images": images}
 
 
+def one_process(physics: dict[str, Any], render: dict[str, Any]) -> None:
+    """Plays physics node and render node, with these parameters, in one process and one thread, until it is ended."""
+    drawing = RenderNode(parameter_overrides=[Parameter(name, value=value) for name, value in render.items()])
+    moving = PhysicsNode(parameter_overrides=[Parameter(name, value=value) for name, value in physics.items()])
+    try:
+        moving.spin(drawing)
+    finally:
+        moving.close()
+        drawing.close()
+
+
 def controller(topics: list[str]) -> None:
     """Takes part in lockstep: answers every odometry with a command, and listens to images.
 
@@ -271,7 +284,7 @@ def _cpu_s() -> float:
 ROLES: dict[str, Callable[..., dict[str, Any] | None]] = {
     role.__name__: role
     for role in (
-        *(ping, pong, image_source, image_sink, clock_source, listener, pipeline_sink, controller),
+        *(ping, pong, image_source, image_sink, clock_source, listener, pipeline_sink, one_process, controller),
         *(exchange, exchange_back, table_lockstep, table_free, soak_listener),
     )
 }

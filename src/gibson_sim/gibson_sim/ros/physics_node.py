@@ -203,10 +203,15 @@ class PhysicsNode(Node):
 
     # Time
 
-    def spin(self) -> int:
-        """Makes time until the context ends, ``duration`` has passed or a client ends it; returns the exit code."""
+    def spin(self, *beside: Node) -> int:
+        """Makes time until the context ends, ``duration`` has passed or a client ends it; returns the exit code.
+
+        Args:
+            beside: nodes that work in the same process.
+        """
         executor = make_executor()
-        executor.add_node(self)
+        for node in (self, *beside):
+            executor.add_node(node)
         self._wait_for_subscribers(executor)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         if self._gate is not None and self._stamped is not None:
@@ -219,8 +224,11 @@ class PhysicsNode(Node):
         self._stats.restart(self._stamp_ns)
         while goes_on() and not self._done:
             executor.spin_once(timeout_sec=0.5)
-            if self._gate is not None and self._gate.failure is not None:
-                raise self._gate.failure
+            if self._gate is not None:
+                if self._gate.failure is not None:
+                    raise self._gate.failure
+                if self._gate.core.is_open and not self._config.rate:
+                    self._on_tick_done()  # a request may have set time going
         self._end_last_tick(executor)
         return 0
 
@@ -241,7 +249,7 @@ class PhysicsNode(Node):
         rate = self._config.rate
         period = min(1.0 / (self._config.clock_hz * rate), 0.01) if rate else 1e-5
         if self._gate is not None and not rate:
-            period = 0.005  # what it waits for wakes it; turning meanwhile would take the processor from those
+            period = 0.02  # what it waits for wakes it; turning meanwhile would take the processor from those
         self._timer = self.create_timer(period, self._turn, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _turn(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -198,33 +198,46 @@ class RobotInterface:
 
     def publish_odometry(self, world: PhysicsWorld) -> None:
         """Publishes what the wheels say: it needs no state of the world."""
+        self._last_state = []
+        if not self._odom_pub.get_subscription_count():
+            return
         odometry = world.odometry(self.robot.name)
         pose = conversions.odometry_pose(odometry)
         twist = (odometry.linear, odometry.lateral, 0.0), (0.0, 0.0, odometry.angular)
-        self._last_state = []
         self._publish_state(self._odom_pub, self._odom.serialize(world.stamp_ns, pose.position, pose.quat_xyzw, *twist))
 
     def publish_state(self, world: PhysicsWorld, state: SceneState, digests: DigestPublisher | None = None) -> None:
         """Publishes where the robot is, but for ``publish_odometry``, with the stamp of the state; ``digests`` has all of it."""
         name, stamp = self.robot.name, state.stamp_ns
+        if self._tf_pub.get_subscription_count():
+            self._publish_state(self._tf_pub, self._tf.serialize(stamp, self._transforms(world, state)))
+        if digests is not None or self._truth_pub.get_subscription_count():
+            base, (linear, angular) = world.base_pose(name), world.base_twist(name)
+            self._publish_state(self._truth_pub, self._truth.serialize(stamp, base.position, base.quat_xyzw, linear, angular))
+            if digests is not None:
+                digests.add(self._topic(names.ODOM), world.odometry(name))
+                digests.add(self._topic(names.GROUND_TRUTH), base, linear, angular)
+        if digests is not None or self._joints_pub.get_subscription_count():
+            joints = world.joint_states(name)
+            self._publish_state(self._joints_pub, self._joints.serialize(stamp, joints))
+            if digests is not None:
+                digests.add(self._topic(names.JOINT_STATES), joints)
+        self._arms.publish(world, digests)
+
+    def _transforms(self, world: PhysicsWorld, state: SceneState) -> list[Sequence[float]]:
+        """Returns what ``tf`` says: odom to base, the moving joints, map to odom."""
         if state.revision != self._rows_of:
             self._find_rows(state)
-        odometry, base = world.odometry(name), world.base_pose(name)
-        odom_pose = conversions.odometry_pose(odometry)
-        poses = [(*odom_pose.position, *odom_pose.quat_xyzw), *self._relative.of(state.positions, state.quats_xyzw)]
+        odom_pose = conversions.odometry_pose(world.odometry(self.robot.name))
+        poses: list[Sequence[float]] = [
+            (*odom_pose.position, *odom_pose.quat_xyzw),
+            *self._relative.of(state.positions, state.quats_xyzw),
+        ]
         if self._config.publish_map_tf:
-            map_from_odom = pose_from_matrix(matrix_from_pose(base) @ invert(matrix_from_pose(odom_pose)))
+            base = matrix_from_pose(world.base_pose(self.robot.name))
+            map_from_odom = pose_from_matrix(base @ invert(matrix_from_pose(odom_pose)))
             poses.append((*map_from_odom.position, *map_from_odom.quat_xyzw))
-        self._publish_state(self._tf_pub, self._tf.serialize(stamp, poses))
-        linear, angular = world.base_twist(name)
-        self._publish_state(self._truth_pub, self._truth.serialize(stamp, base.position, base.quat_xyzw, linear, angular))
-        joints = world.joint_states(name)
-        self._publish_state(self._joints_pub, self._joints.serialize(stamp, joints))
-        if digests is not None:
-            digests.add(self._topic(names.ODOM), odometry)
-            digests.add(self._topic(names.GROUND_TRUTH), base, linear, angular)
-            digests.add(self._topic(names.JOINT_STATES), joints)
-        self._arms.publish(world, digests)
+        return poses
 
     def _publish_state(self, publisher: Publisher, message: bytes) -> None:
         publisher.publish(message)
@@ -253,6 +266,13 @@ class RobotInterface:
         self._relative = RelativePoses(pairs)
         self._rows_of = state.revision
 
+    def measure(self, world: PhysicsWorld, *, all_of_it: bool) -> Measurements:
+        """Returns what is due of the sensors at the step that was just made: all of it, or no lidar that nobody listens to."""
+        return self.sensors.measure(world, world.step_count, world.stamp_ns, None if all_of_it else self._is_heard)
+
+    def _is_heard(self, sensor: str) -> bool:
+        return bool(self._sensor_pubs[sensor].get_subscription_count())
+
     def publish_sensors(self, measured: Measurements, digests: DigestPublisher | None = None) -> None:
         """Publishes what was measured at a step, each with the stamp of that step."""
         if digests is not None:
@@ -265,7 +285,8 @@ class RobotInterface:
         for cloud in measured.clouds:
             self._sensor_pubs[cloud.name].publish(conversions.lidar_cloud_to_msg(cloud, self._frame(cloud.link)))
         for imu in measured.imus:
-            self._sensor_pubs[imu.name].publish(self._imu_message(imu))
+            if self._sensor_pubs[imu.name].get_subscription_count():
+                self._sensor_pubs[imu.name].publish(self._imu_message(imu))
         for bumper in measured.bumpers:
             pressed, wrench = conversions.bumper_to_msgs(bumper, self._frame(bumper.link))
             self._sensor_pubs[bumper.name].publish(pressed)

@@ -69,7 +69,8 @@ class TickPublisher:
 
     def publish_clock(self, stamp_ns: int) -> None:
         """Publishes what time it is."""
-        self._clock_pub.publish(self._clock_message.serialize(stamp_ns))
+        if self._clock_pub.get_subscription_count():
+            self._clock_pub.publish(self._clock_message.serialize(stamp_ns))
 
     def publish(self, world: PhysicsWorld) -> None:
         """Publishes what is due at the step that was just made."""
@@ -113,22 +114,29 @@ class TickPublisher:
         return _Step(world.stamp_ns, None if beside else tick, asked_for or is_due(step, config.clock_hz, config.step_hz))
 
     def _measured(self, world: PhysicsWorld) -> _Measured:
-        step, stamp_ns = world.step_count, world.stamp_ns
-        return {name: robot.sensors.measure(world, step, stamp_ns) for name, robot in self._robots.items()}
+        return {name: robot.measure(world, all_of_it=self._digests is not None) for name, robot in self._robots.items()}
 
     def _begin_tick(self, world: PhysicsWorld, tick: int) -> tuple[SceneState, tuple[CameraSpec, ...]]:
         """Publishes what a tick begins with; returns the state, and the cameras that are due."""
         simulator = self._simulator
         self.publish_clock(world.stamp_ns)
-        for robot in self._robots.values():
-            robot.publish_odometry(world)
+        due = self._world_topics.due(tick)
+        # First of all what takes others longest: pictures where there are any, else the answers of controllers.
+        if not due:
+            self._publish_odometry(world)
         # The whole state now: sensors that are due at this step then need no other one.
         state = world.state()
-        due = self._world_topics.publish_state(state, tick, simulator.epoch, simulator.epoch_step)
+        self._world_topics.publish_state(state, due, simulator.epoch, simulator.epoch_step)
+        if due:
+            self._publish_odometry(world)
         for robot in self._robots.values():
             robot.publish_state(world, state, self._digests)
         self._contacts.publish(world, tick)
-        return state, due
+        return state, tuple(self._world_topics.cameras[i] for i in due)
+
+    def _publish_odometry(self, world: PhysicsWorld) -> None:
+        for robot in self._robots.values():
+            robot.publish_odometry(world)
 
     def _publish_rest(self, step: _Step, measured: _Measured, begun: tuple[SceneState, tuple[CameraSpec, ...]] | None) -> None:
         if begun is None and (step.has_clock or any(measured.values())):

@@ -76,16 +76,18 @@ class WorldInterface:
         self.cameras = drawn.cameras
         self._scene_pub.publish(conversions.scene_to_msg(drawn, world.stamp_ns))
 
-    def publish_state(self, state: State, tick: int, epoch: int, epoch_step: int) -> tuple[CameraSpec, ...]:
-        """Publishes all poses; returns the cameras that are due at ``tick``, which counts at ``publish_hz``."""
+    def due(self, tick: int) -> tuple[int, ...]:
+        """Returns which of ``cameras`` are due at a tick, which counts at ``publish_hz``."""
+        return tuple(i for i, c in enumerate(self.cameras) if is_due(tick, c.rate_hz, self._config.publish_hz))
+
+    def publish_state(self, state: State, due: tuple[int, ...], epoch: int, epoch_step: int) -> None:
+        """Publishes all poses, and which of ``cameras`` are due."""
         if self._views is not None:
             state = self._with_views(self._views, state)
-        due = tuple(i for i, c in enumerate(self.cameras) if is_due(tick, c.rate_hz, self._config.publish_hz))
         if self._fast_state is None or self._laid_out != state.revision:
             self._fast_state, self._laid_out = FastSceneState(WORLD_FRAME, len(state.links)), state.revision
         self._last_state = self._fast_state.serialize(state, due, epoch, epoch_step)
         self._state_pub.publish(self._last_state)
-        return tuple(self.cameras[i] for i in due)
 
     def _take_views(self, views: Views) -> DrawnScene:
         """Takes the views of a scene, and returns it with them."""

@@ -42,6 +42,8 @@ class World(Protocol):
         """Returns the moving joints of a robot."""
 
 
+_STATELESS = ("scans", "clouds")
+"""Kinds of readings that depend on nothing but the world, the seed and the stamp."""
 _Read = Callable[[World, int, int], Any]
 """(world, step, stamp_ns) to a reading."""
 
@@ -113,19 +115,22 @@ class SensorSuite:
         """How often each sensor was due without being measured, since the last reset."""
         return {task.name: task.misses for task in self._tasks}
 
-    def measure(self, world: World, step: int, stamp_ns: int) -> Measurements:
+    def measure(self, world: World, step: int, stamp_ns: int, is_wanted: Callable[[str], bool] | None = None) -> Measurements:
         """Returns what is due at ``step``, to be called after every step of the world; mostly that is nothing.
 
         Args:
             world: As it is after ``step`` steps.
             step: Steps since load; after going back, ``reset``.
             stamp_ns: Of that step.
+            is_wanted: Whether the lidar of a name is to be measured; it remembers nothing, and takes longest. None = all are.
         """
         if self._next is None or step < self._next:
             return Measurements(stamp_ns)
         readings: dict[str, list[Any]] = {}
         for task in self._tasks:
             if task.due <= step and task.advance(step):
+                if is_wanted is not None and task.kind in _STATELESS and not is_wanted(task.name):
+                    continue
                 try:
                     readings.setdefault(task.kind, []).append(task.read(world, step, stamp_ns))
                 except GibsonSimError as error:
