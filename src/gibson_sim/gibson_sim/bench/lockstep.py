@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from gibson_sim.bench.protocol import SETTLE_S, STEP_HZ, Commands
 from gibson_sim.bench.ros import Size, Spread, Target, spread, without_nan
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.render.cache import default_folder
@@ -23,8 +24,6 @@ from gibson_sim.scenes.spec import drawn_scene
 from gibson_sim.sensors.suite import SensorSuite
 from gibson_sim.types import SceneState, VelocityCommand
 
-STEP_HZ = 240
-"""Physics steps, and ticks, in a second of simulation time: one step a tick."""
 TICKS_PER_S, SPLIT = 1000.0, 0.20
 """Targets for two cores: ticks without images, and what the split into processes may add where images are drawn."""
 BLOCKS = 10
@@ -134,6 +133,8 @@ class Alone:
     def __init__(self, scene_name: str, robot: str, size: Size | None) -> None:
         scene = populate(scene_name, robot, "")
         self._world, self._spec = PhysicsWorld(scene, step_hz=STEP_HZ), scene.robots[0]
+        self._world.step(round(SETTLE_S * STEP_HZ))
+        self._commands = Commands(1)
         self._sensors = SensorSuite(self._spec, STEP_HZ, STEP_HZ, scene.gravity)
         drawn = drawn_scene(self._world.scene, self._world.links)
         self._cameras = [replace(camera, outputs=("rgb", "depth")) for camera in drawn.cameras[:1]]
@@ -162,7 +163,8 @@ class Alone:
 
     def _step(self) -> SceneState:
         world, name = self._world, self._spec.name
-        world.command(name, VelocityCommand((0.3, 0.0, 0.0), (0.0, 0.0, 0.5), world.stamp_ns))
+        linear, angular = self._commands.next()
+        world.command(name, VelocityCommand((linear, 0.0, 0.0), (0.0, 0.0, angular), world.stamp_ns))
         world.step()
         self._sensors.measure(world, world.step_count, world.stamp_ns)
         world.odometry(name), world.base_twist(name), world.joint_states(name)

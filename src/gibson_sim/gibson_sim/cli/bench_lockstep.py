@@ -16,7 +16,6 @@ from gibson_sim.bench import timing
 from gibson_sim.bench.lockstep import (
     ONE_PROCESS,
     PIPELINED,
-    STEP_HZ,
     WAYS,
     Alone,
     Case,
@@ -28,7 +27,7 @@ from gibson_sim.bench.lockstep import (
     rate_of,
     targets,
 )
-from gibson_sim.bench.protocol import write_changed_robot
+from gibson_sim.bench.protocol import STEP_HZ, write_changed_robot
 from gibson_sim.bench.render_report import table
 from gibson_sim.bench.ros import Size, Spread
 from gibson_sim.cli.bench_processes import CAMERA, BenchError, conversation, process, role
@@ -93,7 +92,7 @@ def measure(
         name = f"{size} RGB + depth at every tick" if size else "no images"
         with tempfile.TemporaryDirectory(prefix="gibson-sim-bench-") as folder:
             pixels = size or _SMALLEST
-            robot = write_changed_robot(Path(folder), (pixels.width, pixels.height))
+            robot = write_changed_robot(Path(folder), (pixels.width, pixels.height), lidar=False)
             try:
                 tell(f"{name}: all ways in turns")
                 cases.append(case_of(size, _turns(plan, domain_id, robot, size)))
@@ -129,7 +128,7 @@ def _turns(plan: LockstepPlan, domain_id: int | None, robot: Path, size: Size | 
                 stack.enter_context(role(environment, ONE_PROCESS, physics=both, render={}))
             else:
                 stack.enter_context(process(_command(settings, bool(size), way == PIPELINED), environment))
-            ask = stack.enter_context(conversation(environment, "controller", START_S, topics=topics))
+            ask = stack.enter_context(conversation(environment, "controller", START_S, cases=[topics], substeps=1))
             ways[way] = partial(_make_ticks, ask)
         return in_turns(alone, ways, plan.image_ticks if size else plan.ticks)
 
@@ -144,7 +143,7 @@ def _command(settings: Mapping[str, Any], draws: bool, pipelined: bool) -> list[
 
 
 def _make_ticks(ask: Callable[[Mapping[str, Any]], dict[str, Any]], count: int) -> Sequence[int]:
-    found: list[int] = ask({"ticks": count})["tick_ns"]
+    found: list[int] = ask({"case": 0, "ticks": count})["tick_ns"]
     return found
 
 

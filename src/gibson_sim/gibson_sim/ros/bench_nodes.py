@@ -12,9 +12,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from geometry_msgs.msg import Twist
-from nav_msgs.msg import Odometry
-from rclpy.executors import Executor, ExternalShutdownException
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -23,22 +21,20 @@ from sensor_msgs.msg import Image
 
 from gibson_msgs.msg import SceneState as RosSceneState
 from gibson_sim.ros import conversions, names, qos
-from gibson_sim.ros.bench_table import exchange, exchange_back, soak_listener, table_free, table_lockstep
-from gibson_sim.ros.bench_waiting import PATIENCE_S, settle, wait_until, waiter_of
+from gibson_sim.ros.bench_lockstep import controller, one_process
+from gibson_sim.ros.bench_table import exchange, exchange_back, soak_listener, table_free
+from gibson_sim.ros.bench_waiting import PATIENCE_S, STRAGGLERS_S, settle, wait_until, waiter_of
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.fast_images import image_to_bytes
 from gibson_sim.ros.fast_publish import FastClock, FastSceneState
-from gibson_sim.ros.lockstep_client import LockstepParticipant
 from gibson_sim.ros.node_main import end_with_parent, keep_large_blocks
-from gibson_sim.ros.physics_node import PhysicsNode
-from gibson_sim.ros.render_node import RenderNode
 from gibson_sim.scenes.spec import WORLD_FRAME
 from gibson_sim.types import NS_PER_S, SceneState
 
 PING, PONG, IMAGES = "gibson_sim_bench/ping", "gibson_sim_bench/pong", "gibson_sim_bench/images"
 END = "end"
 """``frame_id`` of the last image."""
-WARM_UP_S, STRAGGLERS_S = 1.0, 0.5
+WARM_UP_S = 1.0
 
 
 def pong(executor: str, form: str) -> None:
@@ -213,69 +209,6 @@ def pipeline_sink(topics: list[str], seconds: float) -> dict[str, Any]:
     return {"seconds": passed, "states": [s for s in states if s[0] <= last], "images": images}
 
 
-def one_process(physics: dict[str, Any], render: dict[str, Any]) -> None:
-    """Plays physics node and render node, with these parameters, in one process and one thread, until it is ended."""
-    drawing = RenderNode(parameter_overrides=[Parameter(name, value=value) for name, value in render.items()])
-    moving = PhysicsNode(parameter_overrides=[Parameter(name, value=value) for name, value in physics.items()])
-    try:
-        moving.spin(drawing)
-    finally:
-        moving.close()
-        drawing.close()
-
-
-def controller(topics: list[str]) -> None:
-    """Takes part in lockstep: answers every odometry with a command, and listens to images.
-
-    To each line ``{"ticks": N}`` on stdin it answers, once N more ticks have come, with ``tick_ns``: when each of them came, and the one
-    before. Between two lines time stands still.
-    """
-    node = Node("bench_controller")
-    found, held, last = list[int](), list[Odometry](), 0
-    drawn = dict.fromkeys(topics, 0)
-    publisher = node.create_publisher(Twist, names.CMD_VEL, qos.COMMAND)
-    command = Twist()
-    command.linear.x, command.angular.z = 0.3, 0.5
-
-    def on_odometry(msg: Odometry) -> None:
-        found.append(time.monotonic_ns())
-        if len(found) > last:
-            held.append(msg)
-        else:
-            obey(msg)
-
-    def obey(msg: Odometry) -> None:
-        publisher.publish(command)
-        participant.done(msg.header.stamp, (publisher.topic_name,))
-
-    def on_image(topic: str, msg: Image) -> None:
-        drawn[topic] = conversions.time_from_msg(msg.header.stamp)
-
-    for topic in topics:
-        node.create_subscription(Image, topic, partial(on_image, topic), qos.SENSOR)
-    node.create_subscription(Odometry, names.ODOM, on_odometry, qos.STATE)
-    participant = LockstepParticipant(node, after=names.ODOM)
-    waiter = make_executor()
-    waiter.add_node(node)
-    for line in sys.stdin:
-        begin = max(len(found), 1)
-        last = begin + json.loads(line)["ticks"] - 1
-        for msg in held:
-            obey(msg)
-        held.clear()
-        wait_until(lambda: bool(held), waiter, progress=lambda: len(found))
-        _wait_for_images(waiter, drawn, conversions.time_from_msg(held[0].header.stamp))
-        sys.stdout.write(json.dumps({"tick_ns": found[begin - 1 :]}) + "\n")
-        sys.stdout.flush()
-
-
-def _wait_for_images(waiter: Executor, drawn: dict[str, int], stamp_ns: int) -> None:
-    """Waits until the images of a tick are there, so that nobody works any more; one that is lost is not waited for."""
-    deadline = time.monotonic() + STRAGGLERS_S
-    while any(newest < stamp_ns for newest in drawn.values()) and time.monotonic() < deadline:
-        waiter.spin_once(timeout_sec=0.05)
-
-
 def _cpu_s() -> float:
     """Returns the processor time of this process with all its threads, seconds: what /proc/self/stat counts, but finer."""
     return time.process_time()
@@ -285,7 +218,7 @@ ROLES: dict[str, Callable[..., dict[str, Any] | None]] = {
     role.__name__: role
     for role in (
         *(ping, pong, image_source, image_sink, clock_source, listener, pipeline_sink, one_process, controller),
-        *(exchange, exchange_back, table_lockstep, table_free, soak_listener),
+        *(exchange, exchange_back, table_free, soak_listener),
     )
 }
 

@@ -1,7 +1,8 @@
-"""Roles of ``gibson-sim bench table1``: a controller that also looks, in lockstep and free-running; and messages alone."""
+"""Roles of ``gibson-sim bench table1`` and ``bench soak``: one who drives and looks while time runs freely; and messages alone."""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -16,19 +17,19 @@ from rclpy.node import Node
 from sensor_msgs.msg import Image
 
 from gibson_msgs.msg import SceneState as RosSceneState
+from gibson_sim.bags.stamps import stamp_ns
 from gibson_sim.bench.protocol import SETTLE_S, STEP_HZ, Commands
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.bench_waiting import settle, wait_until, waiter_of
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.fast_images import image_to_bytes
 from gibson_sim.ros.fast_publish import FastSceneState
-from gibson_sim.ros.lockstep_client import LockstepParticipant
 from gibson_sim.scenes.spec import WORLD_FRAME
 from gibson_sim.types import NS_PER_S, SceneState
 
 STATE, PICTURE = "gibson_sim_bench/state", "gibson_sim_bench/picture"
 WARM_UP = 20
-"""Ticks, or exchanges, that do not count."""
+"""Exchanges that do not count."""
 FREE_WARM_UP_S = 0.5
 _PIXELS: dict[str, tuple[str, type[np.generic], tuple[int, ...]]] = {
     "rgb": ("rgb8", np.uint8, (3,)),
@@ -43,8 +44,8 @@ _PIXELS: dict[str, tuple[str, type[np.generic], tuple[int, ...]]] = {
 """Encoding, type and numbers a pixel of the image of each output."""
 
 
-class _Eyes:
-    """Listens to the topics of one row after the other, and counts sets: all images of one stamp."""
+class Eyes:
+    """Takes the images of one row after the other, as bytes, and counts sets: all images of one stamp."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -60,61 +61,34 @@ class _Eyes:
         self._stamps = dict.fromkeys(topics, -1)
         self.sets = []
         self._subscriptions = [
-            self._node.create_subscription(Image, topic, partial(self._on_image, topic), qos.SENSOR) for topic in topics
+            self._node.create_subscription(Image, topic, partial(self._on_image, topic), qos.SENSOR, raw=True) for topic in topics
         ]
 
-    def _on_image(self, topic: str, msg: Image) -> None:
+    @property
+    def oldest_ns(self) -> float:
+        """Stamp up to which all images have come; infinite without topics."""
+        return min(self._stamps.values(), default=math.inf)
+
+    def _on_image(self, topic: str, message: bytes) -> None:
         if topic not in self._stamps:
             return
-        self._stamps[topic] = conversions.time_from_msg(msg.header.stamp)
+        self._stamps[topic] = stamp_ns(message)
         if len(set(self._stamps.values())) == 1:
             self.sets.append(time.monotonic_ns())
 
 
-class _Driver:
+class Driver:
     """Publishes the commands of the table."""
 
     def __init__(self, node: Node, substeps: int) -> None:
         self._publisher = node.create_publisher(Twist, names.CMD_VEL, qos.COMMAND)
         self._commands, self._twist = Commands(substeps), Twist()
-        self.topic = self._publisher.topic_name
 
-    def send(self) -> None:
-        """Sends the next command."""
+    def send(self) -> str:
+        """Sends the next command; returns its topic."""
         self._twist.linear.x, self._twist.angular.z = self._commands.next()
         self._publisher.publish(self._twist)
-
-
-def table_lockstep(cases: list[list[str]], counts: list[int], substeps: int) -> dict[str, Any]:
-    """Takes part in lockstep, and looks at the topics of each case for so many ticks.
-
-    Returns ``ticks``: of each case, when they came, steady clock, nanoseconds; ``sets``: how many sets of images came meanwhile.
-    """
-    node = Node("bench_controller")
-    eyes, driver, ticks, stamp = _Eyes(node), _Driver(node, substeps), list[int](), [0]
-
-    def on_odometry(msg: Odometry) -> None:
-        ticks.append(time.monotonic_ns())
-        stamp[0] = conversions.time_from_msg(msg.header.stamp)
-        driver.send()
-        participant.done(msg.header.stamp, (driver.topic,))
-
-    node.create_subscription(Odometry, names.ODOM, on_odometry, qos.STATE)
-    participant = LockstepParticipant(node, after=names.ODOM)
-    waiter = make_executor()
-    waiter.add_node(node)
-    wait_until(lambda: stamp[0] >= SETTLE_S * NS_PER_S, waiter, progress=lambda: len(ticks))
-    found: dict[str, Any] = {"ticks": [], "sets": []}
-    for topics, count in zip(cases, counts, strict=True):
-        eyes.look_at(topics)
-        wait_until(lambda: bool(eyes.sets or not topics), waiter, progress=lambda: len(ticks))  # noqa: B023
-        ticks.clear()
-        eyes.sets.clear()
-        wait_until(lambda: len(ticks) > WARM_UP + count, waiter, progress=lambda: len(ticks))  # noqa: B023
-        first = ticks[WARM_UP]
-        found["ticks"].append(ticks[WARM_UP:])
-        found["sets"].append(sum(at >= first for at in eyes.sets))
-    return found
+        return self._publisher.topic_name
 
 
 def table_free(cases: list[list[str]], seconds: float, substeps: int) -> dict[str, Any]:
@@ -124,7 +98,7 @@ def table_free(cases: list[list[str]], seconds: float, substeps: int) -> dict[st
     of the odometry.
     """
     node = Node("bench_controller")
-    eyes, driver, ticks, stamps = _Eyes(node), _Driver(node, substeps), list[int](), list[int]()
+    eyes, driver, ticks, stamps = Eyes(node), Driver(node, substeps), list[int](), list[int]()
 
     def on_odometry(msg: Odometry) -> None:
         ticks.append(time.monotonic_ns())
@@ -155,7 +129,7 @@ def soak_listener(topics: list[str], seconds: float, interval: float) -> dict[st
     Returns ``sets``: how many sets of images came in each; ``factors``: simulated seconds in each second of wall time.
     """
     node = Node("bench_soak")
-    eyes, driver, stamp = _Eyes(node), _Driver(node, 4), [0]
+    eyes, driver, stamp = Eyes(node), Driver(node, 4), [0]
 
     def on_odometry(msg: Odometry) -> None:
         stamp[0] = conversions.time_from_msg(msg.header.stamp)

@@ -17,6 +17,9 @@ from gibson_sim.types import NS_PER_S
 PATIENCE_S = 60.0
 """How long a peer may take to appear, or a message to come; after that the role gives up."""
 
+STRAGGLERS_S = 0.5
+"""How long what is under way may take."""
+
 
 class WaitSet:
     """The least that waits: one wait set of one subscription, made once."""
