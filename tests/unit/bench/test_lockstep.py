@@ -7,7 +7,8 @@ from collections.abc import Callable
 
 import pytest
 
-from gibson_sim.bench.lockstep import BLOCKS, WARM_UP, WAYS, LockstepReport, Turns, case_of, in_turns, rate_of, targets
+from gibson_sim.bench.lockstep import BLOCKS, WAYS, LockstepReport, Turns, case_of, in_turns, rate_of, targets
+from gibson_sim.bench.protocol import TICK_WARM_UP
 from gibson_sim.bench.ros import Size
 
 
@@ -45,7 +46,7 @@ class _Machine:
             self.turns.append(way)
             times = [self.now]
             for tick in range(ticks):  # the first ones of a block are slow: they do not count
-                self.now += round((100.0 if tick < WARM_UP else float(len(self.turns))) * 1e6)
+                self.now += round((100.0 if tick < TICK_WARM_UP else float(len(self.turns))) * 1e6)
                 times.append(self.now)
             return times
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from gibson_sim.bench.protocol import SETTLE_S, STEP_HZ, Commands
+from gibson_sim.bench.protocol import SETTLE_S, STEP_HZ, TICK_WARM_UP, Commands
 from gibson_sim.bench.ros import Size, Spread, Target, spread, without_nan
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.render.cache import default_folder
@@ -28,8 +28,6 @@ TICKS_PER_S, SPLIT = 1000.0, 0.20
 """Targets for two cores: ticks without images, and what the split into processes may add where images are drawn."""
 BLOCKS = 10
 """So often each side has its turn, after a first one that does not count."""
-WARM_UP = 3
-"""Ticks of each block that do not count."""
 ONE_PROCESS, LOCKSTEP, PIPELINED = WAYS = ("one_process", "lockstep", "pipelined")
 """Ways with ROS: both nodes in one process, each in its own, the same in a pipeline."""
 
@@ -150,13 +148,13 @@ class Alone:
 
     def block(self, ticks: int, turns: Turns) -> None:
         """Makes ticks, and adds the times of those that count to ``turns``."""
-        for tick in range(ticks + WARM_UP):
+        for tick in range(ticks + TICK_WARM_UP):
             began = time.perf_counter_ns()
             state = self._step()
             stepped = time.perf_counter_ns()
             if self._renderer is not None:
                 self._renderer.render(state, self._cameras)
-            if tick >= WARM_UP:
+            if tick >= TICK_WARM_UP:
                 turns.physics.append((stepped - began) / 1e6)
                 if self._renderer is not None:
                     turns.draw.append((time.perf_counter_ns() - stepped) / 1e6)
@@ -183,7 +181,7 @@ def in_turns(alone: Alone, others: Mapping[str, Callable[[int], Sequence[int]]],
     for block in range(1 + BLOCKS):
         alone.block(size, turns if block else Turns())
         for name, make in others.items():
-            took = np.diff(np.asarray(make(size + WARM_UP), dtype=np.float64))[WARM_UP:] / 1e6
+            took = np.diff(np.asarray(make(size + TICK_WARM_UP), dtype=np.float64))[TICK_WARM_UP:] / 1e6
             turns.others[name] += took.tolist() if block else []
     return turns
 

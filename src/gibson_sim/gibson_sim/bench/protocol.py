@@ -29,6 +29,8 @@ SETTLE_S = 4.0
 """Simulation time that passes before the first frame: what lies still has fallen asleep by then, whichever way and row."""
 BLOCK = 12
 """Frames that are made before the limits have their turn again."""
+TICK_WARM_UP = 3
+"""Ticks at the beginning of each block that do not count."""
 
 
 @dataclass(frozen=True, slots=True)

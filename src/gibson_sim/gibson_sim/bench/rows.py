@@ -150,17 +150,16 @@ def row_of(times: Sequence[float], **values: Any) -> Row:
     return Row(fps=middle, p5=low, p95=high, frames=len(times), **values)
 
 
-def lockstep_row(tick_ns: Sequence[int], alone: Row, exchanged: Mapping[str, float]) -> Row:
+def lockstep_row(times: Sequence[float], alone: Row, exchanged: Mapping[str, float]) -> Row:
     """Returns the row in lockstep of what ``alone`` is in process.
 
     Args:
-        tick_ns: when the ticks came.
+        times: seconds from tick to tick.
         alone: the row in process.
         exchanged: milliseconds of convert, encode, publish and transport, measured with nothing around them.
     """
-    times = np.diff(np.asarray(tick_ns, dtype=np.float64)) / 1e9
     bounds = {**alone.bounds, DDS: _dds(exchanged)}
-    return row_of(times.tolist(), way=LOCKSTEP, stages=_stages(alone, exchanged), bounds=bounds, **_what(alone))
+    return row_of(times, way=LOCKSTEP, stages=_stages(alone, exchanged), bounds=bounds, **_what(alone))
 
 
 def free_row(received_ns: Sequence[int], ticks: int, alone: Row, exchanged: Mapping[str, float]) -> Row:

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import ExitStack
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +31,11 @@ from gibson_sim.bench.protocol import (
     SETTLE_S,
     STEP_HZ,
     WARM_UP,
+    WAYS,
     Commands,
     Plan,
 )
-from gibson_sim.bench.rows import BULLET, COPY, HOST, IN_PROCESS, OPENGL, TENSOR, Row, Table1, row_of
+from gibson_sim.bench.rows import BULLET, COPY, HOST, IN_PROCESS, OPENGL, TENSOR, Row, Table1, lockstep_row, row_of
 from gibson_sim.bench.scenes import bench_scene, camera_path
 from gibson_sim.bench.tensors import synchronize
 from gibson_sim.physics.engine import pybullet
@@ -91,13 +93,25 @@ class Loop:
         self.world.close()
 
 
-def measure(plan: Plan, robot: Path, tell: Callable[[str], None] = lambda line: None) -> Table1:
-    """Returns what was measured in this process.
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """Simulations in lockstep, whose ticks come in turns with the frames in this process."""
+
+    start: Callable[[int, Sequence[Mode]], AbstractContextManager[Callable[[int, int], Sequence[float]]]]
+    """Runs one for modes with so many substeps. What it yields makes ticks of one of the modes: (which, how many) to the seconds that each of
+    them took, or to nothing where that failed."""
+    messages: Mapping[str, Mapping[str, float]]
+    """Milliseconds of each mode's messages alone."""
+
+
+def measure(plan: Plan, robot: Path, tell: Callable[[str], None] = lambda line: None, beside: Beside | None = None) -> Table1:
+    """Returns what was measured in this process, and beside it.
 
     Args:
         plan: what to measure.
         robot: file of the robot, as ``write_robot`` writes it.
         tell: is told in one line what is going on.
+        beside: what gives the rows in lockstep; None = there are none.
 
     Raises:
         GibsonSimError: a scene cannot be loaded, or nothing here can draw.
@@ -110,16 +124,25 @@ def measure(plan: Plan, robot: Path, tell: Callable[[str], None] = lambda line: 
         drawn = drawn_scene(loop.world.scene, loop.world.links)
         pair = Pair(drawn, plan.device, None, stack)
         if IN_PROCESS in plan.ways:
-            for substeps in plan.substeps:
-                for mode in MODES:
-                    tell(f"in process: {mode.name}, {substeps} substeps")
-                    rows += _with_physics(plan, robot, substeps, mode, pair)
+            for substeps, pictures in ((k, d) for k in plan.substeps for d in (False, True)):
+                modes = [mode for mode in MODES if bool(mode.outputs) == pictures]
+                with ExitStack() as running:
+                    ticks = running.enter_context(beside.start(substeps, modes)) if beside else None
+                    for which, mode in enumerate(modes):
+                        tell(f"{'in process and in lockstep' if ticks else 'in process'}: {mode.name}, {substeps} substeps")
+                        made: list[float] = []
+                        other = partial(ticks, which) if ticks else None
+                        here = list(_with_physics(plan, robot, substeps, mode, pair, other, made))
+                        rows += here
+                        if beside and made:
+                            rows.append(lockstep_row(made, here[0], beside.messages[mode.name]))
         info, tensors_on = pair.plain.info, pair.plain.tensors_on
     for house in plan.houses if HOUSES_ONLY in plan.ways else ():
         tell(f"drawing only: {house}")
         rows += _house(plan, house)
     facts = replace(began, gpu=str(info["renderer"]), driver=str(info["version"]))
-    return Table1(facts, f"{ROBOT}, {FOV_Y_DEG:g} degrees", tensors_on, tuple(rows))
+    in_order = sorted(rows, key=lambda row: WAYS.index(row.way))
+    return Table1(facts, f"{ROBOT}, {FOV_Y_DEG:g} degrees", tensors_on, tuple(in_order))
 
 
 class Pair:
@@ -146,8 +169,16 @@ class Pair:
         return frame, (drawn - began) / 1e6, (time.perf_counter_ns() - drawn) / 1e6, opengl
 
 
-def _with_physics(plan: Plan, robot: Path, substeps: int, mode: Mode, pair: Pair) -> Iterable[Row]:
-    """Returns the rows of a mode: to the host, and for the fewest substeps to tensors."""
+def _with_physics(
+    plan: Plan,
+    robot: Path,
+    substeps: int,
+    mode: Mode,
+    pair: Pair,
+    other: Callable[[int], Sequence[float]] | None,
+    made: list[float],
+) -> Iterable[Row]:
+    """Returns the rows of a mode: to the host, and for the fewest substeps to tensors; ``made`` gets what ``other`` took in turns."""
     loop = Loop(plan.scene, robot, substeps)
     try:
         loop.settle()
@@ -172,7 +203,7 @@ def _with_physics(plan: Plan, robot: Path, substeps: int, mode: Mode, pair: Pair
         common |= {"width": PHYSICS_SIZE[0], "height": PHYSICS_SIZE[1], "substeps": substeps}
         with calls_of(pybullet, "stepSimulation") as engine:
             parts = Parts(loop, camera, pair, engine)
-            times = in_turns(to_host, parts.measure, frames, warm_up)
+            times = in_turns(to_host, parts.measure, frames, warm_up, other, made)
         stages, bounds = parts.result()
         yield row_of(times, to=HOST, stages=stages, bounds=bounds, **common)
         if camera is not None and substeps == min(plan.substeps):
@@ -196,16 +227,36 @@ def seconds_of(work: Callable[[], Any], count: int, warm_up: int) -> list[float]
     return found[warm_up:]
 
 
-def in_turns(whole: Callable[[], Any], apart: Callable[[], Any], count: int, warm_up: int) -> list[float]:
-    """Returns how long each of ``count`` calls of ``whole`` took; between blocks of them come blocks of ``apart``.
+def in_turns(
+    whole: Callable[[], Any],
+    apart: Callable[[], Any],
+    count: int,
+    warm_up: int,
+    other: Callable[[int], Sequence[float]] | None = None,
+    made: list[float] | None = None,
+) -> list[float]:
+    """Returns how long each of ``count`` calls of ``whole`` took; between blocks of them come blocks of ``apart`` and of ``other``.
 
-    So whatever else the machine does hits the frames and the limits that they are held against alike.
+    So whatever else the machine does hits the frames and what they are held against alike.
+
+    Args:
+        whole: makes a frame.
+        apart: makes one whose parts are measured.
+        count: of calls of ``whole`` that count.
+        warm_up: of calls before them.
+        other: makes so many frames another way, and returns the seconds that each took.
+        made: gets those.
     """
     found = seconds_of(whole, 0, warm_up)
+    if other is not None:
+        other(warm_up)
     while len(found) < count:
         for _ in range(BLOCK // 3 + 1):
             apart()
-        found += seconds_of(whole, min(BLOCK, count - len(found)), 1)
+        block = min(BLOCK, count - len(found))
+        found += seconds_of(whole, block, 1)
+        if other is not None and made is not None:
+            made += other(block)
     return found
 
 

@@ -5,16 +5,20 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gibson_sim.bench.paper import MODES, PHYSICS_SIZE, Mode
-from gibson_sim.bench.protocol import STEP_HZ, WAYS, Plan, write_robot
-from gibson_sim.bench.rows import FREE, HOST, IN_PROCESS, LOCKSTEP, Row, Table1, free_row, lockstep_row
+from gibson_sim.bench.protocol import STEP_HZ, TICK_WARM_UP, WAYS, Plan, write_robot
+from gibson_sim.bench.rows import FREE, HOST, IN_PROCESS, LOCKSTEP, Row, Table1, free_row
 from gibson_sim.bench.table1_report import report_text
-from gibson_sim.cli.bench_processes import CAMERA, BenchError, answer, process, role
+from gibson_sim.cli.bench_processes import CAMERA, BenchError, answer, conversation, process, role
 from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.quiet import quiet
 from gibson_sim.cli.report_file import add_report_options, chosen, parse_device, tell, write_json
@@ -29,7 +33,7 @@ _TOPIC: dict[str, str] = {
 }
 _EXCHANGES = 60
 _MOST = 0.9
-"""Part of the images of lockstep that must have come by the last tick: the last ones may be under way."""
+"""Part of the images of lockstep that must have come by the last tick."""
 Tell = Callable[[str], None]
 
 
@@ -87,29 +91,34 @@ def measure(plan: Plan, *, domain_id: int | None = None, tell: Tell = lambda lin
         domain_id: ROS domain; None = as the environment says.
         tell: is told in one line what is going on.
     """
-    from gibson_sim.bench import table1
+    from gibson_sim.bench.table1 import Beside, measure as measure_here
 
     over_ros = [way for way in (LOCKSTEP, FREE) if way in plan.ways]
     with tempfile.TemporaryDirectory(prefix="gibson-sim-bench-") as folder:
         robot = write_robot(Path(folder), PHYSICS_SIZE)
-        ways = tuple(dict.fromkeys((*plan.ways, *((IN_PROCESS,) if over_ros else ()))))
-        report = table1.measure(replace(plan, ways=ways), robot, tell)
-        alone = {(row.mode, row.substeps): row for row in report.rows if row.substeps and row.to == HOST}
-        rows, left_out = list(report.rows), []
+        environment = node_environment(domain_id=domain_id, here_alone=True)
+        exchanged: dict[str, dict[str, float]] = {}
+        left_out: list[str] = []
         if over_ros:
-            environment = node_environment(domain_id=domain_id, here_alone=True)
+            tell("messages alone")
             try:
-                tell("messages alone")
                 exchanged = _exchanged(environment)
-                for way, substeps, drawn in ((w, k, d) for w in over_ros for k in plan.substeps for d in (False, True)):
-                    tell(f"{way}: {substeps} substeps, {'images' if drawn else 'no images'}")
-                    try:
-                        rows += _over_ros(way, plan, environment, robot, substeps, drawn, alone, exchanged)
-                    except BenchError as error:
-                        left_out.append(f"{way}, {substeps} substeps, {'images' if drawn else 'no images'}: {error}")
             except BenchError as error:
                 left_out.append(f"{', '.join(over_ros)}: {error}")
-            remove_dead_segments()
+                over_ros = []
+        beside = Beside(partial(_lockstep, plan, environment, robot, left_out), exchanged) if LOCKSTEP in over_ros else None
+        ways = tuple(dict.fromkeys((*plan.ways, *((IN_PROCESS,) if over_ros else ()))))
+        report = measure_here(replace(plan, ways=ways), robot, tell, beside)
+        rows = list(report.rows)
+        alone = {(r.mode, r.substeps): r for r in rows if r.way == IN_PROCESS and r.substeps and r.to == HOST}
+        for substeps, drawn in ((k, d) for k in plan.substeps for d in (False, True)) if FREE in over_ros else ():
+            what = f"{FREE}: {substeps} substeps, {'images' if drawn else 'no images'}"
+            tell(what)
+            try:
+                rows += _free(plan, environment, robot, substeps, drawn, alone, exchanged)
+            except BenchError as error:
+                left_out.append(f"{what}: {error}")
+        remove_dead_segments()
     return replace(report, rows=tuple(rows), left_out=tuple(left_out))
 
 
@@ -123,8 +132,38 @@ def _exchanged(environment: Mapping[str, str]) -> dict[str, dict[str, float]]:
     return {mode.name: row for mode, row in zip(MODES, rows, strict=True)}
 
 
-def _over_ros(
-    way: str,
+@contextmanager
+def _lockstep(
+    plan: Plan, environment: Mapping[str, str], robot: Path, left_out: list[str], substeps: int, modes: Sequence[Mode]
+) -> Iterator[Callable[[int, int], Sequence[float]]]:
+    """Runs a simulation in lockstep, and yields what makes ticks of one of the modes; why that failed is added to ``left_out``."""
+    topics = [[_TOPIC[output] for output in mode.outputs] for mode in modes]
+    failed = False
+    with (
+        process(_command(LOCKSTEP, plan.scene, robot, substeps, modes), environment),
+        conversation(environment, "controller", START_S, cases=topics, substeps=substeps) as ask,
+    ):
+
+        def make(which: int, count: int) -> Sequence[float]:
+            nonlocal failed
+            if failed:
+                return []
+            ticks = count + TICK_WARM_UP
+            try:
+                found = ask({"case": which, "ticks": ticks})
+                if topics[which] and found["sets"] < _MOST * ticks:
+                    raise BenchError(f"{found['sets']} sets of images came in {ticks} ticks")
+            except BenchError as error:
+                failed = True
+                left_out.append(f"{LOCKSTEP}, {modes[which].name} with {substeps} substeps and those after it: {error}")
+                return []
+            seconds: list[float] = (np.diff(found["tick_ns"])[TICK_WARM_UP:] / 1e9).tolist()
+            return seconds
+
+        yield make
+
+
+def _free(
     plan: Plan,
     environment: Mapping[str, str],
     robot: Path,
@@ -136,25 +175,15 @@ def _over_ros(
     """Returns the rows with images, or the one without, of one simulation that runs for all of them."""
     modes = [mode for mode in MODES if bool(mode.outputs) == drawn]
     topics = [[_TOPIC[output] for output in mode.outputs] for mode in modes]
-    with process(_command(way, plan.scene, robot, substeps, modes), environment):
-        if way == LOCKSTEP:
-            counts = [plan.frames if mode.outputs else plan.sensor_frames for mode in modes]
-            expected = START_S + 0.1 * sum(counts)
-            heard = answer(environment, "table_lockstep", expected, cases=topics, counts=counts, substeps=substeps)
-        else:
-            expected = START_S + len(modes) * plan.seconds
-            heard = answer(environment, "table_free", expected, cases=topics, seconds=plan.seconds, substeps=substeps)
+    with process(_command(FREE, plan.scene, robot, substeps, modes), environment):
+        expected = START_S + len(modes) * plan.seconds
+        heard = answer(environment, "table_free", expected, cases=topics, seconds=plan.seconds, substeps=substeps)
     for k, mode in enumerate(modes):
-        here, messages = alone[mode.name, substeps], exchanged[mode.name]
-        if way == LOCKSTEP:
-            if mode.outputs and heard["sets"][k] < _MOST * (len(heard["ticks"][k]) - 2):
-                raise BenchError(f"{mode.name}: {heard['sets'][k]} sets of images came in {len(heard['ticks'][k])} ticks")
-            yield lockstep_row(heard["ticks"][k], here, messages)
-        elif len(heard["received"][k]) > 2:
-            yield free_row(heard["received"][k], heard["ticks"][k], here, messages)
+        if len(heard["received"][k]) > 2:
+            yield free_row(heard["received"][k], heard["ticks"][k], alone[mode.name, substeps], exchanged[mode.name])
 
 
-def _command(way: str, scene: str, robot: Path, substeps: int, modes: list[Mode]) -> list[str]:
+def _command(way: str, scene: str, robot: Path, substeps: int, modes: Sequence[Mode]) -> list[str]:
     """Returns the simulation: one tick a frame, as fast as it can."""
     hz = str(STEP_HZ // substeps)
     outputs = ",".join(name for name in OUTPUTS if any(name in mode.outputs for mode in modes))
