@@ -130,12 +130,10 @@ def measure(plan: Plan, robot: Path, tell: Callable[[str], None] = lambda line: 
                     ticks = running.enter_context(beside.start(substeps, modes)) if beside else None
                     for which, mode in enumerate(modes):
                         tell(f"{'in process and in lockstep' if ticks else 'in process'}: {mode.name}, {substeps} substeps")
-                        made: list[float] = []
                         other = partial(ticks, which) if ticks else None
-                        here = list(_with_physics(plan, robot, substeps, mode, pair, other, made))
-                        rows += here
-                        if beside and made:
-                            rows.append(lockstep_row(made, here[0], beside.messages[mode.name]))
+                        rows += _with_physics(
+                            plan, robot, substeps, mode, pair, other, beside.messages[mode.name] if beside else {}
+                        )
         info, tensors_on = pair.plain.info, pair.plain.tensors_on
     for house in plan.houses if HOUSES_ONLY in plan.ways else ():
         tell(f"drawing only: {house}")
@@ -176,9 +174,9 @@ def _with_physics(
     mode: Mode,
     pair: Pair,
     other: Callable[[int], Sequence[float]] | None,
-    made: list[float],
+    messages: Mapping[str, float],
 ) -> Iterable[Row]:
-    """Returns the rows of a mode: to the host, and for the fewest substeps to tensors; ``made`` gets what ``other`` took in turns."""
+    """Returns the rows of a mode: to the host, in lockstep where ``other`` makes ticks of it, and for the fewest substeps to tensors."""
     loop = Loop(plan.scene, robot, substeps)
     try:
         loop.settle()
@@ -203,9 +201,12 @@ def _with_physics(
         common |= {"width": PHYSICS_SIZE[0], "height": PHYSICS_SIZE[1], "substeps": substeps}
         with calls_of(pybullet, "stepSimulation") as engine:
             parts = Parts(loop, camera, pair, engine)
-            times = in_turns(to_host, parts.measure, frames, warm_up, other, made)
+            times, ticks = in_turns(to_host, parts.measure, frames, warm_up, other)
         stages, bounds = parts.result()
-        yield row_of(times, to=HOST, stages=stages, bounds=bounds, **common)
+        here = row_of(times, to=HOST, stages=stages, bounds=bounds, **common)
+        yield here
+        if ticks:
+            yield lockstep_row(ticks, here, messages)
         if camera is not None and substeps == min(plan.substeps):
             yield row_of(seconds_of(to_tensors, frames, warm_up), to=TENSOR, bounds=bounds, **common)
     finally:
@@ -233,9 +234,8 @@ def in_turns(
     count: int,
     warm_up: int,
     other: Callable[[int], Sequence[float]] | None = None,
-    made: list[float] | None = None,
-) -> list[float]:
-    """Returns how long each of ``count`` calls of ``whole`` took; between blocks of them come blocks of ``apart`` and of ``other``.
+) -> tuple[list[float], list[float]]:
+    """Returns how long each of ``count`` calls of ``whole`` took, and each of ``other``; blocks of them and of ``apart`` come in turns.
 
     So whatever else the machine does hits the frames and what they are held against alike.
 
@@ -245,9 +245,8 @@ def in_turns(
         count: of calls of ``whole`` that count.
         warm_up: of calls before them.
         other: makes so many frames another way, and returns the seconds that each took.
-        made: gets those.
     """
-    found = seconds_of(whole, 0, warm_up)
+    found, others = seconds_of(whole, 0, warm_up), list[float]()
     if other is not None:
         other(warm_up)
     while len(found) < count:
@@ -255,9 +254,9 @@ def in_turns(
             apart()
         block = min(BLOCK, count - len(found))
         found += seconds_of(whole, block, 1)
-        if other is not None and made is not None:
-            made += other(block)
-    return found
+        if other is not None:
+            others += other(block)
+    return found, others
 
 
 class Parts:
@@ -320,7 +319,7 @@ def _house(plan: Plan, name: str) -> Iterable[Row]:
             several = iter(cameras * 2)
             every = iter(cameras[:WARM_UP] + cameras * 2)
             found: list[tuple[Frame, float, float, float]] = []
-            times = in_turns(
+            times, _ = in_turns(
                 lambda: pair.plain.render(STILL, [next(every)]),  # noqa: B023
                 lambda: found.append(pair.apart(STILL, next(several))),  # noqa: B023
                 len(cameras),
