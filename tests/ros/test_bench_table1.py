@@ -42,12 +42,13 @@ def test_one_simulation_in_lockstep_makes_ticks_of_each_row_in_turn(ros_domain: 
 
 
 def test_a_simulation_that_does_not_start_is_left_out_with_the_reason(ros_domain: int, tmp_path: Path, monkeypatch: Any) -> None:
-    monkeypatch.setattr("gibson_sim.cli.bench_table1.START_S", -118.0)  # of which the patience with a process is more
+    monkeypatch.setattr("gibson_sim.cli.bench_table1.START_S", -110.0)  # of which the patience with a process is more
     left_out: list[str] = []
     plan, sensor_only = Plan(scene="no_such_scene"), [mode for mode in MODES if not mode.outputs]
     with _lockstep(plan, node_environment(here_alone=True), tmp_path, left_out, 24, sensor_only) as make:
         assert make(0, 3) == [] and make(0, 3) == []
     assert len(left_out) == 1 and "lockstep, sensor only with 24 substeps" in left_out[0]
+    assert "no_such_scene" in left_out[0]
 
 
 def test_a_free_simulation_gives_all_its_rows(ros_domain: int, tmp_path: Path) -> None:

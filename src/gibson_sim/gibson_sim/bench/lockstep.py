@@ -9,20 +9,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import numpy as np
 
-from gibson_sim.bench.protocol import SETTLE_S, STEP_HZ, TICK_WARM_UP, Commands
+from gibson_sim.bench.loop import Loop
+from gibson_sim.bench.protocol import TICK_WARM_UP
 from gibson_sim.bench.ros import Size, Spread, Target, spread, without_nan
-from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.render.cache import default_folder
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.scenes.placement import populate
 from gibson_sim.scenes.spec import drawn_scene
-from gibson_sim.sensors.suite import SensorSuite
-from gibson_sim.types import SceneState, VelocityCommand
 
 TICKS_PER_S, SPLIT = 1000.0, 0.20
 """Targets for two cores: ticks without images, and what the split into processes may add where images are drawn."""
@@ -123,18 +121,15 @@ class Alone:
     """Makes ticks in this process. A context manager.
 
     Args:
-        scene_name: what to load.
+        scene: what to load.
         robot: its file; it has one camera.
         size: of the images of that camera; None = nothing is drawn.
     """
 
-    def __init__(self, scene_name: str, robot: str, size: Size | None) -> None:
-        scene = populate(scene_name, robot, "")
-        self._world, self._spec = PhysicsWorld(scene, step_hz=STEP_HZ), scene.robots[0]
-        self._world.step(round(SETTLE_S * STEP_HZ))
-        self._commands = Commands(1)
-        self._sensors = SensorSuite(self._spec, STEP_HZ, STEP_HZ, scene.gravity)
-        drawn = drawn_scene(self._world.scene, self._world.links)
+    def __init__(self, scene: str, robot: Path, size: Size | None) -> None:
+        self._loop = Loop(scene, robot, 1)
+        self._loop.settle()
+        drawn = drawn_scene(self._loop.world.scene, self._loop.world.links)
         self._cameras = [replace(camera, outputs=("rgb", "depth")) for camera in drawn.cameras[:1]]
         self._renderer = None if size is None else Renderer(drawn, cache=default_folder())
 
@@ -144,13 +139,14 @@ class Alone:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if self._renderer is not None:
             self._renderer.close()
-        self._world.close()
+        self._loop.close()
 
     def block(self, ticks: int, turns: Turns) -> None:
         """Makes ticks, and adds the times of those that count to ``turns``."""
         for tick in range(ticks + TICK_WARM_UP):
             began = time.perf_counter_ns()
-            state = self._step()
+            self._loop.step()
+            state = self._loop.read()
             stepped = time.perf_counter_ns()
             if self._renderer is not None:
                 self._renderer.render(state, self._cameras)
@@ -158,15 +154,6 @@ class Alone:
                 turns.physics.append((stepped - began) / 1e6)
                 if self._renderer is not None:
                     turns.draw.append((time.perf_counter_ns() - stepped) / 1e6)
-
-    def _step(self) -> SceneState:
-        world, name = self._world, self._spec.name
-        linear, angular = self._commands.next()
-        world.command(name, VelocityCommand((linear, 0.0, 0.0), (0.0, 0.0, angular), world.stamp_ns))
-        world.step()
-        self._sensors.measure(world, world.step_count, world.stamp_ns)
-        world.odometry(name), world.base_twist(name), world.joint_states(name)
-        return world.state()
 
 
 def in_turns(alone: Alone, others: Mapping[str, Callable[[int], Sequence[int]]], ticks: int) -> Turns:

@@ -20,6 +20,7 @@ import numpy as np
 
 from gibson_sim.bench import timing
 from gibson_sim.bench.clocks import Clock, calls_of, copy_ms, opengl_calls
+from gibson_sim.bench.loop import Loop
 from gibson_sim.bench.ours import STILL, pose_of
 from gibson_sim.bench.paper import HOUSE_SIZE, MODES, PHYSICS_SIZE, Mode
 from gibson_sim.bench.protocol import (
@@ -28,69 +29,22 @@ from gibson_sim.bench.protocol import (
     HOUSE_MODES,
     HOUSES_ONLY,
     ROBOT,
-    SETTLE_S,
-    STEP_HZ,
     WARM_UP,
     WAYS,
-    Commands,
     Plan,
 )
 from gibson_sim.bench.rows import BULLET, COPY, HOST, IN_PROCESS, OPENGL, TENSOR, Row, Table1, lockstep_row, row_of
 from gibson_sim.bench.scenes import bench_scene, camera_path
 from gibson_sim.bench.tensors import synchronize
 from gibson_sim.physics.engine import pybullet
-from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.render import gl as GL
 from gibson_sim.render.cache import default_folder
 from gibson_sim.render.readback import Readback
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.mesh import scene_roots
-from gibson_sim.scenes.placement import populate
 from gibson_sim.scenes.spec import DrawnScene, drawn_scene
-from gibson_sim.sensors.suite import SensorSuite
-from gibson_sim.types import OUTPUTS, CameraSpec, Frame, SceneState, VelocityCommand
-
-
-class Loop:
-    """Physics of a scene with the robot, a frame at a time. Close it.
-
-    Args:
-        scene: name or path.
-        robot: its file.
-        substeps: physics steps a frame.
-    """
-
-    def __init__(self, scene: str, robot: Path, substeps: int) -> None:
-        populated = populate(scene, str(robot), "")
-        self.world = PhysicsWorld(populated, step_hz=STEP_HZ)
-        self._robot, self._substeps = populated.robots[0].name, substeps
-        self._sensors = SensorSuite(populated.robots[0], STEP_HZ, STEP_HZ // substeps, populated.gravity)
-        self._commands = Commands(substeps)
-
-    def settle(self) -> None:
-        """Lets what lies still fall asleep."""
-        self.world.step(round(SETTLE_S * STEP_HZ))
-
-    def step(self) -> None:
-        """Obeys the next command for a frame."""
-        linear, angular = self._commands.next()
-        world = self.world
-        world.command(self._robot, VelocityCommand((linear, 0.0, 0.0), (0.0, 0.0, angular), world.stamp_ns))
-        world.step(self._substeps)
-
-    def read(self) -> SceneState:
-        """Returns the poses of everything, having measured what is due; in the order of the physics node."""
-        world, name = self.world, self._robot
-        world.odometry(name), world.base_twist(name)
-        state = world.state()
-        self._sensors.measure(world, world.step_count, world.stamp_ns)
-        world.joint_states(name)
-        return state
-
-    def close(self) -> None:
-        """Frees the engine."""
-        self.world.close()
+from gibson_sim.types import OUTPUTS, CameraSpec, Frame, SceneState
 
 
 @dataclass(frozen=True, slots=True)

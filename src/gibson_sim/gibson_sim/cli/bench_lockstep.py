@@ -118,7 +118,7 @@ def _turns(plan: LockstepPlan, domain_id: int | None, robot: Path, size: Size | 
     first = domain_of(node_environment(domain_id=domain_id))
     ways: dict[str, Callable[[int], Sequence[int]]] = {}
     with ExitStack() as stack:
-        alone = stack.enter_context(Alone(plan.scene, str(robot), size))
+        alone = stack.enter_context(Alone(plan.scene, robot, size))
         for number, way in enumerate(WAYS):
             if way == ONE_PROCESS and not size:
                 continue  # one node, as in lockstep

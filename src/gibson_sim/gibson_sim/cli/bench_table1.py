@@ -138,29 +138,32 @@ def _lockstep(
 ) -> Iterator[Callable[[int, int], Sequence[float]]]:
     """Runs a simulation in lockstep, and yields what makes ticks of one of the modes; why that failed is added to ``left_out``."""
     topics = [[_TOPIC[output] for output in mode.outputs] for mode in modes]
-    failed = False
-    with (
-        process(_command(LOCKSTEP, plan.scene, robot, substeps, modes), environment),
-        conversation(environment, "controller", START_S, cases=topics, substeps=substeps) as ask,
-    ):
+    failed: list[BenchError] = []
 
-        def make(which: int, count: int) -> Sequence[float]:
-            nonlocal failed
+    def make(which: int, count: int) -> Sequence[float]:
+        if failed:
+            return []
+        ticks = count + TICK_WARM_UP
+        try:
+            found = ask({"case": which, "ticks": ticks})
+            if topics[which] and found["sets"] < _MOST * ticks:
+                raise BenchError(f"{found['sets']} sets of images came in {ticks} ticks")
+        except BenchError as error:
+            failed.append(BenchError(f"{LOCKSTEP}, {modes[which].name} with {substeps} substeps and those after it: {error}"))
+            return []
+        seconds: list[float] = (np.diff(found["tick_ns"])[TICK_WARM_UP:] / 1e9).tolist()
+        return seconds
+
+    try:
+        with (
+            process(_command(LOCKSTEP, plan.scene, robot, substeps, modes), environment),
+            conversation(environment, "controller", START_S, cases=topics, substeps=substeps) as ask,
+        ):
+            yield make
             if failed:
-                return []
-            ticks = count + TICK_WARM_UP
-            try:
-                found = ask({"case": which, "ticks": ticks})
-                if topics[which] and found["sets"] < _MOST * ticks:
-                    raise BenchError(f"{found['sets']} sets of images came in {ticks} ticks")
-            except BenchError as error:
-                failed = True
-                left_out.append(f"{LOCKSTEP}, {modes[which].name} with {substeps} substeps and those after it: {error}")
-                return []
-            seconds: list[float] = (np.diff(found["tick_ns"])[TICK_WARM_UP:] / 1e9).tolist()
-            return seconds
-
-        yield make
+                raise failed[0]  # the process adds what became of it
+    except BenchError as error:
+        left_out.append(str(error))
 
 
 def _free(

@@ -228,7 +228,7 @@ class PhysicsNode(Node):
                 if self._gate.failure is not None:
                     raise self._gate.failure
                 if self._gate.core.is_open and not self._config.rate:
-                    self._on_tick_done()  # a request may have set time going
+                    self._turn()  # a request may have set time going
         self._end_last_tick(executor)
         return 0
 
