@@ -128,7 +128,7 @@ def test_what_shines_through_keeps_its_order_among_batches_and_placements() -> N
         [[3, 1, 0, 0, 0], [3, 1, 9, 0, 0], [3, 1, 3, 0, 0], [6, 1, 12, 0, 1], [3, 1, 6, 0, 1], [3, 1, 18, 0, 1]], dtype=np.uint32
     )
     picture = Picture(np.eye(4), np.eye(3), 1, 1, 0.05)
-    plan = Plan(picture, np.zeros((0, 4, 4)), np.arange(6), draws, np.array([0, 1, 1, 1, 1, 2]), 1, np.arange(0), 7)
+    plan = Plan(picture, np.zeros((0, 4, 4)), np.arange(6), draws, np.array([0, 1, 1, 1, 1, 2]), 1, np.arange(0), 7, fronts=False)
     gathered, indices = plan.gathered(np.arange(100, 130, dtype=np.uint32))
     assert gathered.draws[:, [0, 2, 4]].tolist() == [[3, 0, 0], [6, 0, 0], [9, 6, 1], [3, 15, 1]]
     assert gathered.batch.tolist() == [0, 1, 1, 2]
@@ -138,7 +138,7 @@ def test_what_shines_through_keeps_its_order_among_batches_and_placements() -> N
 def test_where_nothing_shines_through_nothing_is_gathered() -> None:
     draws = np.array([[3, 1, 0, 0, 0]], dtype=np.uint32)
     picture = Picture(np.eye(4), np.eye(3), 1, 1, 0.05)
-    plan = Plan(picture, np.zeros((0, 4, 4)), np.arange(1), draws, np.array([0]), 1, np.arange(0), 1)
+    plan = Plan(picture, np.zeros((0, 4, 4)), np.arange(1), draws, np.array([0]), 1, np.arange(0), 1, fronts=False)
     gathered, indices = plan.gathered(np.arange(3, dtype=np.uint32))
     assert gathered is plan
     assert len(indices) == 0
@@ -149,7 +149,7 @@ def test_gaps_and_other_placements_keep_draws_apart() -> None:
         [[3, 1, 0, 0, 0], [3, 1, 3, 0, 0], [3, 1, 9, 0, 0], [3, 1, 12, 0, 1], [3, 1, 15, 0, 1], [3, 1, 18, 0, 1]], dtype=np.uint32
     )
     picture = Picture(np.eye(4), np.eye(3), 1, 1, 0.05)
-    plan = Plan(picture, np.zeros((0, 4, 4)), np.arange(6), draws, np.array([0, 0, 0, 0, 0, 0]), 5, np.arange(0), 6)
+    plan = Plan(picture, np.zeros((0, 4, 4)), np.arange(6), draws, np.array([0, 0, 0, 0, 0, 0]), 5, np.arange(0), 6, fronts=False)
     joined = plan.joined()
     assert joined.draws[:, [0, 2, 4]].tolist() == [[6, 0, 0], [3, 9, 0], [6, 12, 1], [3, 18, 1]]
     assert joined.solid == 3

@@ -60,6 +60,8 @@ class Batch:
     """Its vertices have colours, in the place of texture coordinates."""
     moving: bool
     """Its chunks belong to links, not to the world."""
+    closed: bool
+    """Only closed solids: what of them is turned away is never seen from outside."""
     material: int
     """Index in ``Batches.materials``, where all its triangles have the same; -1 = they differ."""
     first_chunk: int
@@ -105,6 +107,10 @@ class Batches:
     """(G, 6), centre and half the size, metres, frame of the link."""
     group_link: I64
     """(G,), as ``chunk_link``."""
+    solid_box: F64
+    """(S, 6), of closed solids, centre and half the size, metres, frame of the link."""
+    solid_link: I64
+    """(S,), as ``chunk_link``."""
     triangles: int
     """Number of triangles at the finest level."""
     files: tuple[Path, ...]
@@ -112,6 +118,6 @@ class Batches:
     warnings: tuple[str, ...]
 
 
-def settings(batch: Batch) -> tuple[bool, int, int, Kind, bool, bool]:
+def settings(batch: Batch) -> tuple[bool, int, int, Kind, bool, bool, bool]:
     """Returns what batches have in common that may be drawn as one."""
-    return batch.moving, batch.texture, batch.maps, batch.kind, batch.unlit, batch.colored
+    return batch.moving, batch.texture, batch.maps, batch.kind, batch.unlit, batch.colored, batch.closed

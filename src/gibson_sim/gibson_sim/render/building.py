@@ -15,7 +15,8 @@ from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
 from gibson_sim.render.batches import MAX_LABEL, VERTEX, Batches, Kind, Loader, MapSet, Progress
 from gibson_sim.render.joining import Joiner, Key, Pile
 from gibson_sim.render.material_table import MaterialTable, solid_alpha
-from gibson_sim.robots.spec import VisualSpec
+from gibson_sim.render.solids import Solids, find_solids, moved_boxes
+from gibson_sim.robots.spec import Shape, VisualSpec
 from gibson_sim.scenes.mesh_types import Material, MeshPart, TextureSource
 from gibson_sim.types import Rgba
 
@@ -52,6 +53,8 @@ def build_batches(
     map_sets: dict[tuple[int, ...], tuple[int, MapSet]] = {}
     files: dict[Path, None] = {}
     warnings: list[str] = []
+    found_solids: dict[tuple[Shape, tuple[bool, ...]], Solids] = {}
+    solid_boxes, solid_links = [np.zeros((0, 6))], [np.zeros(0, dtype=np.int64)]
     table = MaterialTable([v.look for v in visuals if v.look is not None], warnings.append)
     for k, (visual, label) in enumerate(zip(visuals, labels or [(0, 0)] * len(visuals), strict=True)):
         progress("reading meshes", k / len(visuals))
@@ -67,28 +70,53 @@ def build_batches(
         files.update(dict.fromkeys(mesh.files))
         if visual.look is not None and visual.look.pattern is not None and visual.look.pattern.image:
             files[Path(visual.look.pattern.image)] = None
-        link = link_numbers[visual.link]
-        for part in mesh.parts:
-            material = part.material if visual.color is None else _plain(visual.color)
-            texture = material.texture if part.uvs is not None else None
+        link, T_link_visual = link_numbers[visual.link], matrix_from_pose(visual.pose)
+        materials = [part.material if visual.color is None else _plain(visual.color) for part in mesh.parts]
+        drawn = [material.texture if part.uvs is not None else None for part, material in zip(mesh.parts, materials, strict=True)]
+        kinds = tuple(map(_kind, materials, drawn))
+        alike = (visual.shape, tuple(kind == "opaque" for kind in kinds))
+        if alike not in found_solids:
+            found_solids[alike] = find_solids(mesh.parts, alike[1])
+        solids = found_solids[alike]
+        solid_boxes.append(moved_boxes(solids.boxes, T_link_visual))
+        solid_links.append(np.full(len(solids.boxes), link))
+        for part, material, texture, kind, of_solid in zip(mesh.parts, materials, drawn, kinds, solids.triangles, strict=True):
             number = -1 if texture is None else textures.setdefault(id(texture), (len(textures), texture))[0]
             maps = -1
             if part.uvs is not None and material.has_maps:
                 found = _map_set(material)
                 maps = map_sets.setdefault(tuple(map(id, found)), (len(map_sets), found))[0]
             row = table.row(material if part.uvs is not None else replace(material, texture=None), visual.look)
-            vertices = _vertices(part, row, matrix_from_pose(visual.pose), label)
+            vertices = _vertices(part, row, T_link_visual, label)
             colored = material.colored and part.colors is not None
             if colored:
                 vertices["uv"] = _packed_colors(part.colors)
-            key = (link > 0, number, maps, _kind(material, texture), material.unlit, colored, link)
-            piles.setdefault(key, Pile()).add(vertices, part.triangles)
+            for closed in (False, True):
+                triangles = part.triangles[of_solid == closed]
+                if len(triangles):
+                    key = (link > 0, number, maps, kind, material.unlit, colored, closed, link)
+                    piles.setdefault(key, Pile()).add(*_used(vertices, triangles))
     if len(table.rows) > MAX_LABEL:
         raise ConfigError(f"the scene has {len(table.rows)} different materials, at most {MAX_LABEL} can be drawn")
     shown = tuple(t for _, t in textures.values())
     return Joiner(coarser, progress).join(
-        piles, table, shown, tuple(m for _, m in map_sets.values()), tuple(files), tuple(warnings)
+        piles,
+        table,
+        shown,
+        tuple(m for _, m in map_sets.values()),
+        (np.concatenate(solid_boxes), np.concatenate(solid_links)),
+        tuple(files),
+        tuple(warnings),
     )
+
+
+def _used(vertices: NDArray[np.void], triangles: NDArray[np.uint32]) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
+    """Returns vertices and triangles without the vertices that no triangle uses, where there are some."""
+    used = np.zeros(len(vertices), dtype=bool)
+    used[triangles] = True
+    if used.all():
+        return vertices, triangles
+    return vertices[used], (np.cumsum(used, dtype=np.uint32) - np.uint32(1))[triangles]
 
 
 def _plain(color: Rgba) -> Material:

@@ -25,7 +25,7 @@ from gibson_sim.resources import cache_folder
 from gibson_sim.robots.spec import VisualSpec
 
 _log = logging.getLogger(__name__)
-_MAGIC = b"gibson-sim scene 2\n"
+_MAGIC = b"gibson-sim scene 3\n"
 _PAGE = 4096
 SMALLEST = 20_000
 """Scenes with fewer triangles are loaded as fast without."""
@@ -179,7 +179,9 @@ def _code_digest() -> str:
     """Returns a digest of the code that reads meshes and cuts them: another version of it may make something else of them."""
     package = Path(__file__).parent.parent
     files = [file for folder in ("geometry", "scenes") for file in sorted((package / folder).glob("*.py"))]
-    files += [package / "render" / f"{name}.py" for name in ("batches", "building", "clusters", "joining", "material_table")]
+    files += [
+        package / "render" / f"{name}.py" for name in ("batches", "building", "clusters", "joining", "material_table", "solids")
+    ]
     digest = hashlib.sha256()
     for file in files:
         digest.update(file.read_bytes())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -104,6 +105,7 @@ class GlScene:
         self._batches, self._visibility = b, Visibility(b)
         self._planner = Planner(b, self._visibility, self._detail_px, cull=self._cull)
         self._moving = np.array([batch.moving for batch in b.batches], dtype=bool)
+        self._closed = np.array([batch.closed for batch in b.batches], dtype=bool)
         self._memory.take(b, same_vertices, same_indices)
         if self._occlusion:
             self._occluders.take(b, same_indices)
@@ -231,19 +233,23 @@ class GlScene:
     def _fill_depth(self, plans: Sequence[Plan], chosen: Sequence[I64], table: U32) -> None:
         """Sends draws of chosen chunks of each picture that have no holes, by rows of ``table``."""
         drawn: list[U32] = []
+        kinds = tuple(product((False, True), (False, True)))
         for chunks in chosen:
             chunks = chunks[table[chunks, 0] > 0]
-            moving = self._moving[self._visibility.batch_of[chunks]]
-            drawn += [table[chunks[~moving]], table[chunks[moving]]]
+            batch = self._visibility.batch_of[chunks]
+            moves, closed = self._moving[batch], self._closed[batch]
+            drawn += [table[chunks[(moves == moving) & (closed == fronts)]] for moving, fronts in kinds]
         self._send(drawn)
         first = 0
         for k, plan in enumerate(plans):
             self._look_at(plan.picture, k)
-            for moving, rows in zip((False, True), drawn[2 * k : 2 * k + 2], strict=True):
+            for (moving, closed), rows in zip(kinds, drawn[len(kinds) * k :], strict=False):
                 if len(rows):
                     self._gl.glUseProgram(self._programs.depth(moving=moving).glo)
+                    self._draw_both_sides(not (plan.fronts and closed))
                     self._multi_draw(first, len(rows))
                     first += len(rows)
+        self._draw_both_sides(True)
 
     def _read_depth(self, target: Target) -> NDArray[np.float32]:
         """Returns what the target has so far: near / depth, (H, W)."""
@@ -260,6 +266,9 @@ class GlScene:
         """Takes the rectangle and the view of a picture for the draws that follow."""
         self._gl.glViewport(picture.x, picture.y, picture.width, picture.height)
         self._gl.glBindBufferRange(GL.UNIFORM_BUFFER, _VIEWS, self._views, number * VIEW.itemsize, VIEW.itemsize)
+
+    def _draw_both_sides(self, both: bool) -> None:
+        (self._gl.glDisable if both else self._gl.glEnable)(GL.CULL_FACE)
 
     def _multi_draw(self, first: int, count: int) -> None:
         self._gl.glMultiDrawElementsIndirect(GL.TRIANGLES, GL.UNSIGNED_INT, first * _COMMAND_BYTES, count, _COMMAND_BYTES)
@@ -295,6 +304,7 @@ class GlScene:
         for run in plan.runs(translucent=color):
             if run.translucent and not blending:
                 blending = True
+                self._draw_both_sides(True)
                 self._draw_sky(features)
                 gl.glBindVertexArray(self._memory.sorted_array)
                 gl.glEnable(GL.BLEND)
@@ -302,8 +312,10 @@ class GlScene:
                 gl.glDepthMask(0)
                 self._mask_features(features, 0)  # labels and normals are those of the solid surface behind, as the depth is
             self._prepare(run, features, color)
+            self._draw_both_sides(not (plan.fronts and self._closed[run.batch]))
             self._multi_draw(first, run.draws)
             first += run.draws
+        self._draw_both_sides(True)
         if blending:
             gl.glDepthMask(1)
             self._mask_features(features, 1)

@@ -41,8 +41,8 @@ class Pile:
         self.count += len(vertices)
 
 
-Key = tuple[bool, int, int, Kind, bool, bool, int]
-"""Moving, texture, maps, kind, unlit, colored, link: the order of piles, so that those of one batch follow each other. What a look changes is
+Key = tuple[bool, int, int, Kind, bool, bool, bool, int]
+"""Moving, texture, maps, kind, unlit, colored, closed, link: the order of piles, so that those of one batch follow each other. What a look changes is
 not in it: levels of detail and the order of drawing, and with them depth, labels and normals, must not depend on looks."""
 
 
@@ -84,6 +84,7 @@ class Joiner:
         table: MaterialTable,
         textures: tuple[TextureSource, ...],
         map_sets: tuple[MapSet, ...],
+        solids: tuple[NDArray[np.float64], I64],
         files: tuple[Path, ...],
         warnings: tuple[str, ...],
     ) -> Batches:
@@ -94,6 +95,7 @@ class Joiner:
             table: materials that the vertices name.
             textures: that the keys of the piles number.
             map_sets: likewise.
+            solids: ``solid_box`` and ``solid_link``.
             files: what was read.
             warnings: what was left out.
 
@@ -115,17 +117,17 @@ class Joiner:
             self._progress("levels of detail", self._triangles / max(total, 1))
             first = self._chunk_count
             self._add(key, piles[key], shared.get(key))
-            moving, texture, maps, kind, unlit, colored, _ = key
+            moving, texture, maps, kind, unlit, colored, closed, _ = key
             rows = np.unique(np.concatenate([v["material"] for v in piles[key].vertices]))
             material = int(rows[0]) if len(rows) == 1 else -1
             shiny = not matte[rows].all() or (maps >= 0 and map_sets[maps][0] is not None)
             glossy, looked = not unlit and shiny, bool(looked_rows[rows].any())
-            if batches and settings(batches[-1]) == (moving, texture, maps, kind, unlit, colored):
+            if batches and settings(batches[-1]) == (moving, texture, maps, kind, unlit, colored, closed):
                 last = batches.pop()
                 first, material = last.first_chunk, material if material == last.material else -1
                 glossy, looked = glossy or last.glossy, looked or last.looked
             span = (first, self._chunk_count)
-            batches.append(Batch(texture, kind, maps, unlit, glossy, looked, colored, moving, material, *span))
+            batches.append(Batch(texture, kind, maps, unlit, glossy, looked, colored, moving, closed, material, *span))
         if self._index_count >= 2**31:
             raise ConfigError(
                 f"the scene has {self._triangles} triangles, at most {2**31 // 6} can be drawn; simplify its meshes"
@@ -151,6 +153,8 @@ class Joiner:
             group_error=_joined(c["error"], np.float64),
             group_box=_joined(c["error_box"], np.float64).reshape(-1, 6),
             group_link=_joined(c["error_link"], np.int64),
+            solid_box=solids[0],
+            solid_link=solids[1],
             triangles=self._triangles,
             files=files,
             warnings=warnings,
@@ -158,7 +162,7 @@ class Joiner:
 
     def _add(self, key: Key, pile: Pile, fixed: NDArray[np.bool_] | None) -> None:
         """Appends the chunks of one pile, all levels; what equals an earlier pile but for label, material and link uses its triangles."""
-        _, texture, maps, kind, _, colored, link = key
+        _, texture, maps, kind, _, colored, closed, link = key
         vertices = np.concatenate(pile.vertices)
         placement = np.zeros(1, dtype=PLACEMENT)
         if link:
@@ -167,7 +171,9 @@ class Joiner:
                 if (vertices[name] == vertices[name][0]).all():
                     placement[name] = vertices[name][0]
                     vertices[name] = 0
-        triangles = _wound(vertices, np.concatenate(pile.triangles))
+        triangles = np.concatenate(pile.triangles)
+        if not closed:  # closed solids are wound as they should be
+            triangles = _wound(vertices, triangles)
         size = CHUNK_TRIANGLES
         if kind == "blend":
             size = min(max(len(triangles) // BLEND_CHUNKS, 1), size)

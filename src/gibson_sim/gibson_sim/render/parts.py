@@ -20,6 +20,7 @@ BODY = "body"
 """Name that the body of a part goes by, so that equal bodies are equal parts."""
 _CHUNK = ("chunk_first", "chunk_count", "chunk_box", "chunk_link", "chunk_placement", "chunk_group", "chunk_next_group")
 _GROUP = ("group_error", "group_box", "group_link")
+_SOLID = ("solid_box", "solid_link")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,7 +131,7 @@ class Join:
         for maps in base.map_sets:
             self._map_set(maps)
         self._placements: list[NDArray[np.void]] = []
-        self._rows: dict[str, list[NDArray[Any]]] = {name: [] for name in (*_CHUNK, *_GROUP)}
+        self._rows: dict[str, list[NDArray[Any]]] = {name: [] for name in (*_CHUNK, *_GROUP, *_SOLID)}
         self._batches: list[Batch] = []
         self._runs: list[tuple[Batch, dict[str, NDArray[Any]]]] = []
         self._chunk_count = self._placement_count = self._group_count = 0
@@ -148,6 +149,8 @@ class Join:
         for name, column in columns.items():
             self._rows[name].append(column)
         self._add_groups(b, links[b.group_link])
+        there = drawn[b.solid_link]
+        self._add_solids(b.solid_box[there], links[b.solid_link[there]])
         before = np.concatenate([[0], np.cumsum(keep)])
         for batch in b.batches:
             first, end = int(before[batch.first_chunk]), int(before[batch.end_chunk])
@@ -191,6 +194,7 @@ class Join:
         self._placement_count += len(placements)
         for use in uses:
             self._add_groups(b, use.links[b.group_link])
+            self._add_solids(b.solid_box, use.links[b.solid_link])
 
     def _moved(self, batch: Batch, place: Place) -> Batch:
         return replace(
@@ -205,6 +209,10 @@ class Join:
         self._rows["group_box"].append(b.group_box)
         self._rows["group_link"].append(links)
         self._group_count += len(b.group_error)
+
+    def _add_solids(self, boxes: NDArray[np.float64], links: I64) -> None:
+        self._rows["solid_box"].append(boxes)
+        self._rows["solid_link"].append(links)
 
     def batches(self, vertices: NDArray[np.void], indices: NDArray[np.uint32]) -> Batches:
         """Returns all of it; runs of parts that are drawn with the same settings become one batch."""

@@ -22,6 +22,7 @@ from gibson_sim.render.batches import Batches
 from gibson_sim.render.choosing import Detail, Shown
 from gibson_sim.render.occlusion import DepthPyramid, Outlines, pixels_from_links
 from gibson_sim.render.pieces import Pieces
+from gibson_sim.render.solids import Insides
 from gibson_sim.render.visibility import Visibility, link_frames
 
 F64 = NDArray[np.float64]
@@ -87,6 +88,8 @@ class Plan:
     """The nearest chunks without holes, about a quarter of all."""
     triangles: int
     """Of all solid chunks inside the image, hidden or not."""
+    fronts: bool
+    """Of closed solids only the fronts are drawn: they are all that is seen."""
 
     def runs(self, *, translucent: bool = True) -> list[Run]:
         """Returns the draws by their settings; what shines through only if asked for."""
@@ -178,6 +181,7 @@ class Planner:
     ) -> None:
         self._b, self._visibility, self._detail_px, self._cull, self._loops = batches, visibility, detail_px, cull, loops
         self._table, self._pieces = draw_table(batches, batches.chunk_first, batches.chunk_count), Pieces(batches)
+        self._insides = Insides(batches.solid_box, batches.solid_link)
         self._counts = fixed(batches.chunk_count)
         kinds = [batch.kind for batch in batches.batches]
         self._cut = np.array([kind != "opaque" for kind in kinds], dtype=bool)
@@ -192,7 +196,7 @@ class Planner:
         """Chooses what to draw of one picture, and fills its ``view``."""
         T_camera_links, eyes = link_frames(picture.T_world_camera, T_world_links)
         # The flip: optical y points down and clip y points up, so row 0 of the image comes first in OpenGL's bottom-up memory.
-        projection, planes = _lens(picture.intrinsics.tobytes(), picture.width, picture.height, picture.near)
+        projection, planes, near_corners = _lens(picture.intrinsics.tobytes(), picture.width, picture.height, picture.near)
         before = picture.T_world_camera if picture.T_world_camera_before is None else picture.T_world_camera_before
         view["clip"] = (projection @ T_camera_links[0]).T
         still = before is picture.T_world_camera
@@ -204,14 +208,15 @@ class Planner:
         detail = Detail(focal, self._detail_px, picture.near)
         planes = planes if self._cull else planes[:0]
         chunks = self._visibility.nearest_first(eyes, detail, planes, T_camera_links, loops=self._loops)
-        return self._ordered(picture, T_camera_links, chunks)
+        fronts = not self._insides.may_hold(eyes, T_camera_links, near_corners)
+        return self._ordered(picture, T_camera_links, chunks, fronts=fronts)
 
     def solid(self, chunks: I64) -> Plan:
         """Returns a plan that draws what is solid of these chunks, for a picture of no camera."""
-        plan = self._ordered(Picture(np.eye(4), np.eye(3), 0, 0, 0.0), np.zeros((0, 4, 4)), chunks)
+        plan = self._ordered(Picture(np.eye(4), np.eye(3), 0, 0, 0.0), np.zeros((0, 4, 4)), chunks, fronts=False)
         return plan.only(np.arange(len(plan.chunks)) < plan.solid)
 
-    def _ordered(self, picture: Picture, T_camera_links: F64, chunks: I64) -> Plan:
+    def _ordered(self, picture: Picture, T_camera_links: F64, chunks: I64, *, fronts: bool) -> Plan:
         """Returns the plan for chunks that come the nearest first."""
         batch = self._visibility.batch_of
         if self._loops:
@@ -221,7 +226,7 @@ class Planner:
         else:
             every, solid, near, total = self._order(chunks, batch[chunks])
         drawn = chunks[every]
-        return Plan(picture, T_camera_links, drawn, self._table[drawn], batch[drawn], solid, near, total)
+        return Plan(picture, T_camera_links, drawn, self._table[drawn], batch[drawn], solid, near, total, fronts)
 
     def _order(self, chunks: I64, batch: I64) -> tuple[I64, int, I64, int]:
         """The same as ``choosing.drawing_order``, of chunks and the batch of each."""
@@ -329,7 +334,19 @@ def _solidity(b: Batches, chunks: slice) -> tuple[NDArray[np.bool_], NDArray[np.
 
 
 @lru_cache(maxsize=256)
-def _lens(intrinsics: bytes, width: int, height: int, near: float) -> tuple[F64, F64]:
-    """Returns the projection, (4, 4), and the planes of the frustum, (5, 4), of K, the bytes of (3, 3) float64."""
+def _lens(intrinsics: bytes, width: int, height: int, near: float) -> tuple[F64, F64, F64]:
+    """Returns the projection, (4, 4), the planes of the frustum, (5, 4), and the corners of the picture at the near distance, (4, 3), metres.
+
+    Args:
+        intrinsics: the bytes of K, (3, 3) float64.
+        width: pixels.
+        height: pixels.
+        near: metres.
+    """
     k = np.frombuffer(intrinsics, dtype=np.float64).reshape(3, 3)
-    return clip_from_optical(k, width, height, near), frustum_planes(k, width, height, near)
+    pixels = np.array([[u, v, 1.0] for u in (-0.5, width - 0.5) for v in (-0.5, height - 0.5)])
+    return (
+        clip_from_optical(k, width, height, near),
+        frustum_planes(k, width, height, near),
+        near * np.linalg.solve(k, pixels.T).T,
+    )

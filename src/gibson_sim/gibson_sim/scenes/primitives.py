@@ -50,6 +50,12 @@ def _box(x: float, y: float, z: float) -> tuple[F64, F64, F64, I64]:
     return vertices, normals, uvs, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
+def _circle() -> F64:
+    """Returns points around the unit circle, (SEGMENTS + 1, 2); the last one is the first, to the bit, so that what is closed has no gap."""
+    around = 2 * math.pi * (np.arange(SEGMENTS + 1) % SEGMENTS) / SEGMENTS
+    return np.column_stack([np.cos(around), np.sin(around)])
+
+
 def _grid(rows: int, columns: int) -> I64:
     """Returns triangles (F, 3) of a grid of vertices, row by row, counter-clockwise where rows go down and columns right."""
     corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)[None, :]).ravel()
@@ -60,8 +66,11 @@ def _grid(rows: int, columns: int) -> I64:
 def _sphere(radius: float, _y: float, _z: float) -> tuple[F64, F64, F64, I64]:
     rings = SEGMENTS // 2
     u, v = np.meshgrid(np.linspace(0, 1, SEGMENTS + 1), np.linspace(0, 1, rings + 1))
-    around, down = 2 * math.pi * u.ravel(), math.pi * v.ravel()
-    normals = np.stack([np.sin(down) * np.cos(around), np.sin(down) * np.sin(around), np.cos(down)], 1)
+    down = math.pi * v
+    level = np.sin(down)
+    level[-1] = 0.0  # sin(pi) is not quite
+    around = np.tile(_circle(), (rings + 1, 1))
+    normals = np.column_stack([level.ravel() * around[:, 0], level.ravel() * around[:, 1], np.cos(down).ravel()])
     triangles = _grid(rings + 1, SEGMENTS + 1)
     area = areas_of((radius * normals)[triangles])
     # At the poles half of the triangles collapse to a line.
@@ -69,8 +78,7 @@ def _sphere(radius: float, _y: float, _z: float) -> tuple[F64, F64, F64, I64]:
 
 
 def _cylinder(radius: float, length: float, _z: float) -> tuple[F64, F64, F64, I64]:
-    around = np.linspace(0, 2 * math.pi, SEGMENTS + 1)
-    side = np.stack([np.cos(around), np.sin(around), np.zeros_like(around)], 1)
+    side = np.column_stack([_circle(), np.zeros(SEGMENTS + 1)])
     ring = side * radius
     up = np.array([0.0, 0.0, length / 2])
     top, bottom = ring + up, ring - up

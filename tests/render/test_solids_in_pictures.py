@@ -1,0 +1,136 @@
+"""Far sides of closed solids are left out where nobody could see them, and nowhere else."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.solids import Insides
+from gibson_sim.scenes.mesh_types import Mesh
+from gibson_sim.scenes.primitives import primitive_mesh
+from gibson_sim.scenes.spec import DrawnScene
+from gibson_sim.types import OUTPUTS, CameraSpec, Frame, Pose
+from render.drawing import BLUE, EYE, GREEN, RED, box, draw, draw_mesh, eye_at, loader_of, mesh_visual, scene, state, where
+from render.rooms import rooms, way
+
+pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
+
+
+def _assert_same_surfaces(some: Frame, other: Frame) -> None:
+    """A pixel in thousands may differ, where two surfaces touch or at an edge whose two faces are there at all but one depth."""
+    np.testing.assert_allclose(some.depth, other.depth, rtol=0.01)
+    for field in fields(Frame):
+        a, b = getattr(some, field.name), getattr(other, field.name)
+        if isinstance(a, np.ndarray):
+            assert ((a == b) | ((a != a) & (b != b))).mean() > 0.9993, field.name
+
+
+def _both_ways(drawn: DrawnScene, cameras: list[CameraSpec], monkeypatch: pytest.MonkeyPatch, **options: object) -> None:
+    now = state(drawn.links, [(2.0 + 2.0 * k, 1.6, 0.7) for k in range(len(drawn.links))])
+    with Renderer(drawn, **options) as renderer:
+        fronts = [renderer.render(now, [camera])[0] for camera in cameras]
+        monkeypatch.setattr(Insides, "may_hold", lambda *_: True)
+        for camera, front in zip(cameras, fronts, strict=True):
+            (all_sides,) = renderer.render(now, [camera])
+            _assert_same_surfaces(front, all_sides)
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+def test_pictures_are_those_of_all_sides(samples: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    visuals, loader = rooms()
+    pane = box((3.0, 1.6, 1.0), (0.2, 0.4, 0.9, 0.4), (0.02, 2.0, 2.0))
+    drawn = scene(*visuals, pane, box((0, 0, 0), RED, link="a"), box((0, 0, 0), BLUE, link="b"), links=("a", "b"))
+    cameras = [replace(EYE, pose=pose, width=120, height=90, outputs=OUTPUTS, samples=samples) for pose in way(5)]
+    _both_ways(drawn, cameras, monkeypatch, loader=loader)
+
+
+def test_they_are_for_bent_lenses_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    visuals, loader = rooms()
+    wide = [replace(EYE, pose=pose, width=128, height=64, projection="equirectangular") for pose in way(2)]
+    _both_ways(scene(*visuals), wide, monkeypatch, loader=loader)
+
+
+def test_half_of_the_triangles_of_a_box_are_not_filled() -> None:
+    # What is left out cannot be seen, so it is seen by its absence: of a box whose front is missing, and which is said to be closed.
+    (part,) = primitive_mesh(box((0, 0, 0)).shape).parts
+    there = (part.normals[part.triangles[:, 0]] @ np.array([-1.0, 0.0, 0.0])) < 0.5
+    opened = Mesh((replace(part, vertices=part.vertices + np.float32([2.0, 0.0, 0.0]), triangles=part.triangles[there]),))
+    with Renderer(scene(mesh_visual()), loader=loader_of(opened)) as renderer:
+        assert renderer._scene is not None
+        (frame,) = renderer.render(state(), [EYE])
+        assert frame.depth is not None
+        assert frame.depth[32, 32] == pytest.approx(2.5)
+        renderer._scene._closed[:] = True
+        (frame,) = renderer.render(state(), [EYE])
+        assert frame.depth is not None
+        assert np.isinf(frame.depth).all()
+
+
+def test_an_open_box_shows_its_inside() -> None:
+    (part,) = primitive_mesh(box((0, 0, 0)).shape).parts
+    there = (part.normals[part.triangles[:, 0]] @ np.array([-1.0, 0.0, 0.0])) < 0.5
+    frame = draw_mesh(
+        Mesh((replace(part, vertices=part.vertices + np.float32([2.0, 0.0, 0.0]), triangles=part.triangles[there]),))
+    )
+    assert frame.depth is not None
+    assert frame.depth[32, 32] == pytest.approx(2.5)
+
+
+def test_a_camera_inside_of_a_box_sees_its_walls() -> None:
+    frame = draw(box((0.2, 0.0, 0.0), RED), box((3.0, 0.0, 0.0), GREEN))
+    assert frame.depth is not None
+    assert frame.depth[32, 32] == pytest.approx(0.7)
+    assert where(frame, 0).all()
+
+
+def test_a_camera_that_touches_a_box_sees_its_inside_and_not_what_is_behind_it() -> None:
+    near = replace(EYE, near=0.05)
+    frame = draw(box((0.53, 0.0, 0.0), RED), box((3.0, 0.0, 0.0), GREEN), camera=near)  # the front lies at 0.03 m
+    assert frame.depth is not None
+    assert frame.depth[32, 32] == pytest.approx(1.03)
+    assert not where(frame, 1).any()
+
+
+def test_a_camera_in_its_housing_sees_past_it_and_leaves_far_sides_out() -> None:
+    housing = box((0.0, 0.0, 0.0), RED, (0.06, 0.06, 0.06))
+    with Renderer(scene(housing, box((3.0, 0.0, 0.0), GREEN))) as renderer:
+        assert renderer._scene is not None
+        plans = []
+        kept = renderer._scene._planner.plan
+        renderer._scene._planner.plan = lambda *a: plans.append(kept(*a)) or plans[-1]  # type: ignore[method-assign,func-returns-value]
+        (frame,) = renderer.render(state(), [replace(EYE, near=0.05)])
+        assert where(frame, 1).any()
+        assert not where(frame, 0).any()
+        assert plans[0].fronts
+        renderer.render(state(), [replace(EYE, near=0.02)])
+        assert not plans[1].fronts
+
+
+def test_a_solid_that_moves_about_the_eye_is_seen_from_within() -> None:
+    with Renderer(scene(box((0, 0, 0), RED, link="a"), links=("a",))) as renderer:
+        for x, depth in ((3.0, 2.5), (0.2, 0.7), (4.0, 3.5)):
+            (frame,) = renderer.render(state(("a",), [(x, 0.0, 0.0)]), [EYE])
+            assert frame.depth is not None
+            assert frame.depth[32, 32] == pytest.approx(depth)
+
+
+def test_a_mirrored_mesh_is_seen_from_outside() -> None:
+    (part,) = primitive_mesh(box((0, 0, 0)).shape).parts
+    mirrored = Mesh((part,)).transformed(np.diag([1.0, -2.0, 1.0, 1.0]))
+    frame = draw_mesh(mirrored, camera=eye_at((-2.0, 0.0, 0.0)))
+    assert frame.depth is not None
+    assert frame.depth[32, 32] == pytest.approx(1.5)
+
+
+def test_the_sky_is_behind_glass_and_solids() -> None:
+    frame = draw(
+        box((2.0, 0.0, 0.0), RED, (0.2, 0.2, 0.2)),
+        box((1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.5), (0.01, 0.5, 0.5)),
+        camera=replace(EYE, pose=Pose((0, 0, 0), EYE.pose.quat_xyzw)),
+    )
+    assert frame.rgb is not None
+    assert frame.rgb[0, 0].max() == 0
+    assert where(frame, 2).any()

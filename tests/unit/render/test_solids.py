@@ -1,0 +1,119 @@
+"""Which triangles belong to closed solids, and which pictures may begin inside of one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gibson_sim.geometry.transforms import matrix_from_quat
+from gibson_sim.render.solids import Insides, find_solids, moved_boxes
+from gibson_sim.robots.spec import Shape
+from gibson_sim.scenes.mesh_types import MeshPart
+from gibson_sim.scenes.primitives import primitive_mesh
+
+BOX, BALL, ROLLER = Shape("box", (0.4, 0.6, 1.0)), Shape("sphere", (0.3, 0.0, 0.0)), Shape("cylinder", (0.2, 0.5, 0.0))
+NEAR = 0.05
+CORNERS = NEAR * np.array([[u, v, 1.0] for u in (-1, 1) for v in (-1, 1)])
+"""Of a picture of 90 degrees that looks along +z."""
+
+
+def _part(shape: Shape) -> MeshPart:
+    (part,) = primitive_mesh(shape).parts
+    return part
+
+
+def _of_solids(*parts: MeshPart, opaque: tuple[bool, ...] = ()) -> list[float]:
+    """Returns the share of each part's triangles that belong to solids."""
+    return [float(mask.mean()) for mask in find_solids(parts, opaque or (True,) * len(parts)).triangles]
+
+
+@pytest.mark.parametrize("shape", [BOX, BALL, ROLLER], ids=["box", "sphere", "cylinder"])
+def test_primitives_are_closed_to_the_bit(shape: Shape) -> None:
+    part = _part(shape)
+    assert _of_solids(part) == [1.0]
+    (found,) = find_solids([part], [True]).boxes
+    low, high = part.vertices.min(axis=0), part.vertices.max(axis=0)
+    np.testing.assert_allclose(found, np.concatenate([(low + high) / 2, (high - low) / 2]), atol=1e-7)
+
+
+def test_what_lacks_a_triangle_is_open_and_what_stands_beside_it_is_not() -> None:
+    box = _part(BOX)
+    opened = replace(box, triangles=box.triangles[1:])
+    assert _of_solids(opened) == [0.0]
+    assert not len(find_solids([opened], [True]).boxes)
+    moved = replace(box, vertices=box.vertices + np.float32(5.0))
+    assert _of_solids(opened, moved) == [0.0, 1.0]
+
+
+def test_a_solid_may_be_made_of_several_parts_unless_one_of_them_lets_light_through() -> None:
+    box = _part(BOX)
+    halves = replace(box, triangles=box.triangles[:5]), replace(box, triangles=box.triangles[5:])
+    assert _of_solids(*halves) == [1.0, 1.0]
+    assert _of_solids(*halves, opaque=(True, False)) == [0.0, 0.0]
+
+
+def test_an_inside_out_surface_is_no_solid() -> None:
+    box = _part(BOX)
+    assert _of_solids(replace(box, triangles=box.triangles[:, ::-1], normals=-box.normals)) == [0.0]  # a room, seen from within
+
+
+def test_a_surface_whose_normals_point_inward_is_no_solid() -> None:
+    box = _part(BOX)
+    assert _of_solids(replace(box, normals=-box.normals)) == [0.0]
+
+
+def test_one_triangle_that_is_turned_the_other_way_opens_it() -> None:
+    box = _part(BOX)
+    turned = box.triangles.copy()
+    turned[3] = turned[3, ::-1]
+    assert _of_solids(replace(box, triangles=turned)) == [0.0]
+
+
+def test_a_sheet_with_two_sides_holds_nothing() -> None:
+    box = _part(BOX)
+    side = box.triangles[:2]
+    normals = box.normals.copy()
+    both = replace(box, triangles=np.concatenate([side, side[:, ::-1]]), normals=normals)
+    assert _of_solids(both) == [0.0]
+
+
+def test_boxes_move_with_what_is_in_them() -> None:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = matrix_from_quat((0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)))[:3, :3], (1.0, 2.0, 3.0)
+    np.testing.assert_allclose(
+        moved_boxes(np.array([[1.0, 0.0, 0.0, 0.2, 0.3, 0.5]]), T), [[1.0, 3.0, 3.0, 0.3, 0.2, 0.5]], atol=1e-12
+    )
+
+
+def _inside(box: list[float], T_camera_box: NDArray[np.float64] | None = None) -> bool:
+    T = np.eye(4) if T_camera_box is None else T_camera_box
+    eye = -T[:3, :3].T @ T[:3, 3]
+    links, eyes = np.array([1]), np.stack([np.full(3, 99.0), eye])
+    return Insides(np.array([box]), links).may_hold(eyes, np.stack([np.eye(4), T]), CORNERS)
+
+
+def test_a_picture_begins_inside_where_a_box_touches_its_near_rectangle() -> None:
+    assert _inside([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])  # about the eye
+    assert _inside([0.0, 0.0, 0.06, 0.2, 0.2, 0.02])  # cut by it
+    assert _inside([0.045, 0.0, 0.05, 0.001, 0.001, 0.001])  # at its rim
+    assert not _inside([0.0, 0.0, 0.2, 0.1, 0.1, 0.1])  # ahead
+    assert not _inside([0.0, 0.0, 0.0, 0.02, 0.02, 0.04])  # nearer than it, about the eye: the housing of a camera
+    assert not _inside([0.0, 0.0, -0.2, 0.5, 0.5, 0.2])  # behind
+    assert not _inside([0.2, 0.0, 0.05, 0.1, 0.1, 0.1])  # beside
+
+
+def test_a_box_is_looked_at_in_its_own_frame() -> None:
+    T = np.eye(4)
+    T[:3, :3] = matrix_from_quat((0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)))[:3, :3]
+    T[:3, 3] = (0.0, 0.0, 0.5)
+    assert not _inside([0.0, 0.0, 0.0, 0.4, 0.4, 0.4], T)
+    assert _inside([0.0, 0.0, 0.0, 0.46, 0.1, 0.1], T)  # its x axis points at the eye
+    assert not _inside([0.0, 0.0, 0.0, 0.1, 0.1, 0.46], T)
+
+
+def test_where_there_are_no_solids_no_picture_begins_in_one() -> None:
+    nothing = Insides(np.zeros((0, 6)), np.zeros(0, dtype=np.int64))
+    assert not nothing.may_hold(np.zeros((1, 3)), np.eye(4)[None], CORNERS)
