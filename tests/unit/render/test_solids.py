@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -88,32 +90,54 @@ def test_boxes_move_with_what_is_in_them() -> None:
     )
 
 
-def _inside(box: list[float], T_camera_box: NDArray[np.float64] | None = None) -> bool:
+@pytest.fixture(params=[False, True], ids=["NumPy", "loops"])
+def inside(request: pytest.FixtureRequest) -> Callable[..., bool]:
+    """Whether a picture may begin inside of a box."""
+    return partial(_inside, request.param)
+
+
+def _inside(loops: bool, box: list[float], T_camera_box: NDArray[np.float64] | None = None) -> bool:
     T = np.eye(4) if T_camera_box is None else T_camera_box
     eye = -T[:3, :3].T @ T[:3, 3]
     links, eyes = np.array([1]), np.stack([np.full(3, 99.0), eye])
-    return Insides(np.array([box]), links).may_hold(eyes, np.stack([np.eye(4), T]), CORNERS)
+    return Insides(np.array([box]), links, loops=loops).may_hold(eyes, np.stack([np.eye(4), T]), CORNERS)
 
 
-def test_a_picture_begins_inside_where_a_box_touches_its_near_rectangle() -> None:
-    assert _inside([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])  # about the eye
-    assert _inside([0.0, 0.0, 0.06, 0.2, 0.2, 0.02])  # cut by it
-    assert _inside([0.045, 0.0, 0.05, 0.001, 0.001, 0.001])  # at its rim
-    assert not _inside([0.0, 0.0, 0.2, 0.1, 0.1, 0.1])  # ahead
-    assert not _inside([0.0, 0.0, 0.0, 0.02, 0.02, 0.04])  # nearer than it, about the eye: the housing of a camera
-    assert not _inside([0.0, 0.0, -0.2, 0.5, 0.5, 0.2])  # behind
-    assert not _inside([0.2, 0.0, 0.05, 0.1, 0.1, 0.1])  # beside
+def test_a_picture_begins_inside_where_a_box_touches_its_near_rectangle(inside: Callable[..., bool]) -> None:
+    assert inside([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])  # about the eye
+    assert inside([0.0, 0.0, 0.06, 0.2, 0.2, 0.02])  # cut by it
+    assert inside([0.045, 0.0, 0.05, 0.001, 0.001, 0.001])  # at its rim
+    assert not inside([0.0, 0.0, 0.2, 0.1, 0.1, 0.1])  # ahead
+    assert not inside([0.0, 0.0, 0.0, 0.02, 0.02, 0.04])  # nearer than it, about the eye: the housing of a camera
+    assert not inside([0.0, 0.0, -0.2, 0.5, 0.5, 0.2])  # behind
+    assert not inside([0.2, 0.0, 0.05, 0.1, 0.1, 0.1])  # beside
 
 
-def test_a_box_is_looked_at_in_its_own_frame() -> None:
+def test_a_box_is_looked_at_in_its_own_frame(inside: Callable[..., bool]) -> None:
     T = np.eye(4)
     T[:3, :3] = matrix_from_quat((0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)))[:3, :3]
     T[:3, 3] = (0.0, 0.0, 0.5)
-    assert not _inside([0.0, 0.0, 0.0, 0.4, 0.4, 0.4], T)
-    assert _inside([0.0, 0.0, 0.0, 0.46, 0.1, 0.1], T)  # its x axis points at the eye
-    assert not _inside([0.0, 0.0, 0.0, 0.1, 0.1, 0.46], T)
+    assert not inside([0.0, 0.0, 0.0, 0.4, 0.4, 0.4], T)
+    assert inside([0.0, 0.0, 0.0, 0.46, 0.1, 0.1], T)  # its x axis points at the eye
+    assert not inside([0.0, 0.0, 0.0, 0.1, 0.1, 0.46], T)
 
 
-def test_where_there_are_no_solids_no_picture_begins_in_one() -> None:
-    nothing = Insides(np.zeros((0, 6)), np.zeros(0, dtype=np.int64))
+@pytest.mark.parametrize("loops", [False, True], ids=["NumPy", "loops"])
+def test_where_there_are_no_solids_no_picture_begins_in_one(loops: bool) -> None:
+    nothing = Insides(np.zeros((0, 6)), np.zeros(0, dtype=np.int64), loops=loops)
     assert not nothing.may_hold(np.zeros((1, 3)), np.eye(4)[None], CORNERS)
+
+
+def test_loops_and_numpy_agree() -> None:
+    rng, found = np.random.default_rng(2), []
+    for _ in range(300):
+        boxes = np.hstack([rng.uniform(-0.3, 0.3, (12, 3)), rng.uniform(0.0, 0.06, (12, 3))])
+        links, T = rng.integers(0, 3, 12), np.tile(np.eye(4), (3, 1, 1))
+        for k in range(3):
+            q = rng.normal(size=4)
+            T[k, :3, :3], T[k, :3, 3] = matrix_from_quat(q / np.linalg.norm(q))[:3, :3], rng.uniform(-0.1, 0.1, 3)
+        eyes = -np.einsum("lji,lj->li", T[:, :3, :3], T[:, :3, 3])
+        ways = [Insides(boxes, links, loops=loops).may_hold(eyes, T, CORNERS) for loops in (False, True)]
+        assert ways[0] == ways[1]
+        found.append(ways[0])
+    assert 0.1 < np.mean(found) < 0.9

@@ -1,5 +1,5 @@
-"""What ``visibility``, ``planning``, ``pieces`` and ``occlusion`` do in NumPy, as loops that are compiled: for the few hundred chunks of a
-picture NumPy's calls take far longer than the arithmetic. Results are equal, to the bit (the tests compare them), but for what is called
+"""What ``visibility``, ``planning``, ``pieces``, ``occlusion`` and ``solids`` do in NumPy, as loops that are compiled: for the few hundred
+chunks of a picture NumPy's calls take far longer than the arithmetic. Results are equal, to the bit (the tests compare them), but for what is called
 hidden: there they may differ by a rounding, where no pixel depends on it.
 """
 
@@ -134,6 +134,35 @@ def _reaches(planes: F64, sides: int, box: F64) -> bool:
         if middle + (abs(x) * box[3] + abs(y) * box[4] + abs(z) * box[5]) + planes[k, 3] < 0.0:
             return False
     return True
+
+
+@compiled
+def begins_inside(boxes: F64, links: I64, eyes: F64, T_camera_links: F64, near_corners: F64) -> bool:
+    """Returns whether any box touches the near rectangle of a picture; the arguments are those of ``solids.Insides``."""
+    reach = 0.0
+    for c in range(4):
+        x, y, z = near_corners[c, 0], near_corners[c, 1], near_corners[c, 2]
+        reach = max(reach, np.sqrt(x * x + y * y + z * z))
+    for k in range(len(links)):
+        box, eye = boxes[k], eyes[links[k]]
+        if (
+            abs(eye[0] - box[0]) > box[3] + reach
+            or abs(eye[1] - box[1]) > box[4] + reach
+            or abs(eye[2] - box[2]) > box[5] + reach
+        ):
+            continue
+        T, touched = T_camera_links[links[k]], True
+        for axis in range(3):
+            low, high = np.inf, -np.inf
+            for c in range(4):
+                at = 0.0
+                for i in range(3):
+                    at += (near_corners[c, i] - T[i, 3]) * T[i, axis]
+                low, high = min(low, at), max(high, at)
+            touched = touched and low <= box[axis] + box[3 + axis] and high >= box[axis] - box[3 + axis]
+        if touched:
+            return True
+    return False
 
 
 @compiled

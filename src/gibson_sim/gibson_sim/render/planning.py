@@ -181,7 +181,7 @@ class Planner:
     ) -> None:
         self._b, self._visibility, self._detail_px, self._cull, self._loops = batches, visibility, detail_px, cull, loops
         self._table, self._pieces = draw_table(batches, batches.chunk_first, batches.chunk_count), Pieces(batches)
-        self._insides = Insides(batches.solid_box, batches.solid_link)
+        self._insides = Insides(batches.solid_box, batches.solid_link, loops=loops)
         self._counts = fixed(batches.chunk_count)
         kinds = [batch.kind for batch in batches.batches]
         self._cut = np.array([kind != "opaque" for kind in kinds], dtype=bool)

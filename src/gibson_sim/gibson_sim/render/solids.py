@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.geometry.compiling import CAN_COMPILE, fixed
+from gibson_sim.render import choosing
 from gibson_sim.render.clusters import places
 from gibson_sim.scenes.collision.triangles import components
 from gibson_sim.scenes.mesh_types import MeshPart
@@ -93,11 +95,11 @@ class Insides:
     Args:
         boxes: (S, 6), of solids, centre and half the size, metres, frame of the link.
         links: (S,), number of the link of each, 0 = the world.
+        loops: by compiled loops instead of NumPy; the answers are the same.
     """
 
-    def __init__(self, boxes: F64, links: I64) -> None:
-        self._boxes, self._links = boxes, links
-        self._centre, self._half = (np.ascontiguousarray(part.T) for part in (boxes[:, :3], boxes[:, 3:]))
+    def __init__(self, boxes: F64, links: I64, *, loops: bool = CAN_COMPILE) -> None:
+        self._boxes, self._links, self._loops = fixed(boxes), fixed(links), loops
 
     def may_hold(self, eyes: F64, T_camera_links: F64, near_corners: F64) -> bool:
         """Returns whether a picture may begin inside of a solid, or be cut by one: else all that it sees of solids is their fronts.
@@ -107,14 +109,12 @@ class Insides:
             T_camera_links: (L, 4, 4), optical frame from each of these.
             near_corners: (4, 3), of the picture at its near distance, optical frame, metres.
         """
-        reach = float(np.sqrt(np.einsum("ck,ck->c", near_corners, near_corners).max()))
-        around = np.ones(len(self._links), dtype=bool)
-        for eye, centre, half in zip(eyes.T, self._centre, self._half, strict=True):
-            around &= np.abs(eye[self._links] - centre) <= half + reach
-        for k in np.flatnonzero(around):
-            T = T_camera_links[self._links[k]]
-            corners = (near_corners - T[:3, 3]) @ T[:3, :3]
-            centre, half = self._boxes[k, :3], self._boxes[k, 3:]
-            if ((corners.min(axis=0) <= centre + half) & (corners.max(axis=0) >= centre - half)).all():
-                return True
-        return False
+        if self._loops:
+            return choosing.begins_inside(self._boxes, self._links, eyes, T_camera_links, near_corners)
+        reach = np.sqrt(np.einsum("ck,ck->c", near_corners, near_corners).max())
+        far = (np.abs(eyes[self._links] - self._boxes[:, :3]) > self._boxes[:, 3:] + reach).any(axis=1)
+        T = T_camera_links[self._links[~far]]
+        corners = (near_corners - T[:, None, :3, 3]) @ T[:, :3, :3]
+        centre, half = self._boxes[~far, :3], self._boxes[~far, 3:]
+        touched = (corners.min(axis=1) <= centre + half) & (corners.max(axis=1) >= centre - half)
+        return bool(touched.all(axis=1).any())
