@@ -167,6 +167,57 @@ def test_a_renderer_that_stands_still_is_named_and_nothing_is_lost(start: Callab
     assert steps == list(range(steps[0], steps[-1] + 1, IMAGE_STEPS)), "each once"
 
 
+def test_time_waits_for_a_recorder_that_stands_still_and_its_bag_is_whole(
+    start: Callable[..., Launched], listener: Listener, tmp_path: Path
+) -> None:
+    bag, summary = tmp_path / "bag", tmp_path / "summary.json"
+    launched = start("--participants", NAME, "--participant-timeout", "100", "--record", str(bag), "--summary", str(summary))
+    launched.wait_for_line("triangles")
+    images = Controller(listener, images=(IMAGE,)).images[IMAGE]
+    listener.spin_until(lambda: len(images) > 3, "images")
+    pid = launched.node_pid("record")
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        listener.spin_until(lambda: bool(_said(launched, "'record' (it hangs or is slow) has not done")), "a word")
+        before = len(images)
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    listener.spin_until(lambda: len(images) > before + 5, "images afterwards")
+    launched.stop()
+    steps = _steps_in_bag(bag, f"/{IMAGE}")
+    assert len(steps) > before + 5
+    assert steps == list(range(steps[0], steps[-1] + 1, IMAGE_STEPS)), "each once"
+    assert not any(json.loads(summary.read_text())["record"]["lost"].values())
+
+
+def test_a_recorder_that_is_killed_holds_nobody_up(start: Callable[..., Launched], listener: Listener, tmp_path: Path) -> None:
+    launched = start("--participants", NAME, "--participant-timeout", "100", "--record", str(tmp_path / "bag"))
+    launched.wait_for_line("triangles")
+    images = Controller(listener, images=(IMAGE,)).images[IMAGE]
+    listener.spin_until(lambda: len(images) > 3, "images")
+    os.kill(launched.node_pid("record"), signal.SIGKILL)
+    listener.spin_until(lambda: bool(_said(launched, "'record' has gone without leaving; time goes on without it")), "a word")
+    before = len(images)
+    listener.spin_until(lambda: len(images) > before + 5, "images afterwards")
+
+
+def test_a_recorder_that_comes_later_takes_part_until_it_ends(
+    start: Callable[..., Launched], listener: Listener, tmp_path: Path
+) -> None:
+    launched = start("--participants", NAME, "--participant-timeout", "100")
+    launched.wait_for_line("triangles")
+    images = Controller(listener, images=(IMAGE,)).images[IMAGE]
+    recorder = LaunchedNode("record", "-p", f"output:={tmp_path / 'bag'}", "-p", "duration:=5.0")
+    listener.spin_until(lambda: bool(_said(launched, "'record' takes part, after cameras")), "a recorder")
+    listener.spin_until(lambda: recorder.process.poll() is not None, "its end")
+    assert recorder.wait() == 0
+    assert _said(launched, "'record' leaves")
+    before = len(images)
+    listener.spin_until(lambda: len(images) > before + 5, "images afterwards")
+    steps = _steps_in_bag(tmp_path / "bag", f"/{IMAGE}")
+    assert steps == list(range(steps[0], steps[-1] + 1, IMAGE_STEPS)), "each once"
+
+
 def test_several_render_nodes_draw_every_image_that_is_due(
     start: Callable[..., Launched], listener: Listener, tmp_path: Path
 ) -> None:

@@ -17,7 +17,7 @@ from rclpy.serialization import serialize_message  # noqa: E402
 
 from gibson_msgs.msg import TickDone  # noqa: E402
 from gibson_sim.config import PhysicsConfig  # noqa: E402
-from gibson_sim.ros import names  # noqa: E402
+from gibson_sim.ros import lockstep_gate, names  # noqa: E402
 from gibson_sim.ros.lockstep_gate import LockstepGate  # noqa: E402
 from gibson_sim.ros.physics_node import PhysicsNode  # noqa: E402
 from gibson_sim.simulation.lockstep import CAMERAS  # noqa: E402
@@ -29,6 +29,8 @@ class Graph:
     def __init__(self) -> None:
         self.listens_to: list[str] = []
         """Topics of ``nav`` that have become known."""
+        self.nodes = ["nav"]
+        """Those that publish ``tick_done``."""
         self.matched: dict[str, int] = {"/odom": 0, "/scene_state": 0, "/tf": 0}
         """Of each topic that the simulation publishes: how many are known to get it."""
 
@@ -46,7 +48,7 @@ class Graph:
         return topic if topic.startswith("/") else f"/{topic}"
 
     def get_publishers_info_by_topic(self, topic: str) -> list[Any]:
-        return [SimpleNamespace(node_name="nav", node_namespace="/")] if topic == names.TICK_DONE else []
+        return [SimpleNamespace(node_name=name, node_namespace="/") for name in self.nodes if topic == names.TICK_DONE]
 
     def get_subscriber_names_and_types_by_node(self, name: str, namespace: str) -> list[tuple[str, list[str]]]:
         return [(topic, []) for topic in self.listens_to]
@@ -122,3 +124,17 @@ def test_one_that_does_not_say_what_it_waits_for_hears_us_once_all_that_is_known
     assert not gate._hears_us("nav")
     graph.matched["/tf"] = 1
     assert gate._hears_us("nav")
+
+
+@pytest.mark.parametrize("event", [TickDone.JOIN, TickDone.WATCH])
+def test_time_goes_on_without_one_who_only_watched_and_has_gone(event: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    graph, beside = Graph(), Beside()
+    gate = LockstepGate(graph, PhysicsConfig(lockstep=True), lambda: None, lambda again: None)  # type: ignore[arg-type]
+    gate.listen(beside)  # type: ignore[arg-type]
+    gate._on_done(serialize_message(TickDone(event=event, participant="nav")))
+    gate.publish_tick(1, lambda: ())
+    monkeypatch.setattr(lockstep_gate, "LATE_NS", -1)
+    assert not gate.may_go()
+    graph.nodes = []
+    assert gate.may_go() == (event == TickDone.WATCH)
+    assert bool(gate.core.participants) == (event == TickDone.JOIN)

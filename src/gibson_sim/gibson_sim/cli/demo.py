@@ -134,7 +134,7 @@ def _plan(args: argparse.Namespace, folder: Path, episode: Episode, door: Hinged
         start=f"{x!r},{y!r},{yaw_deg!r}",
         rate=0.0,
         lockstep=True,
-        participants="task; render",
+        participants="task; render; record",
         participant_timeout=_LATE_S,
         camera_rate=args.image_rate,
         camera_outputs="rgb",

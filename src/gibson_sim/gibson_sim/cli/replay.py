@@ -108,7 +108,7 @@ def _plan(args: argparse.Namespace, facts: RunFacts, folder: Path) -> Job:
     physics = {
         **physics,
         "lockstep": lockstep,
-        "participants": "; ".join(["replay"] + ["render"] * render) if lockstep else "",
+        "participants": "; ".join(["replay"] + ["render"] * render + ["record"] * bool(args.record)) if lockstep else "",
         "digests": args.verify or bool(args.record),
         "wait_for": ",".join(f"{topic}:{count}" for topic, count in waits.items()),
         "summary_path": str(folder / "physics.json"),

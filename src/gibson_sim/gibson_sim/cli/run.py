@@ -136,7 +136,7 @@ def _plan(args: argparse.Namespace, folder: Path) -> Job:
     elif args.video or args.snapshot:
         raise ConfigError("--no-render makes no images: leave it out, or leave out --video and --snapshot")
     if wanted.lockstep:
-        ours = ["drive"] * bool(args.drive) + ["render"] * (not args.no_render)
+        ours = ["drive"] * bool(args.drive) + ["render"] * (not args.no_render) + ["record"] * bool(job.bag)
         physics["participants"] = "; ".join(filter(None, (*ours, wanted.participants)))
     physics["wait_for"] = ",".join(f"{topic}:{count}" for topic, count in waits.items())
     job.configs["physics"] = settings_from_args(PhysicsConfig, args, **physics)

@@ -40,17 +40,19 @@ class LockstepParticipant:
         tick_done (gibson_msgs/TickDone).
     """
 
-    def __init__(self, node: Node, after: str = "") -> None:
+    def __init__(self, node: Node, after: str = "", *, watches: bool = False) -> None:
         """Takes part from the next tick on.
 
         Args:
             node: who takes part; it must listen to what it waits for by now.
             after: topic whose ticks count; ``cameras`` = ticks at which a camera is due; empty = every tick.
+            watches: it has no part in what happens: time goes on without it where its node has gone.
         """
         self._messages: dict[tuple[str, ...], FastTickDone] = {}
         self.name = node.get_fully_qualified_name().lstrip("/")
         self._publisher = node.create_publisher(TickDone, names.TICK_DONE, qos.TICK_DONE)
-        self._publisher.publish(TickDone(event=TickDone.JOIN, participant=self.name, after=after))
+        event = TickDone.WATCH if watches else TickDone.JOIN
+        self._publisher.publish(TickDone(event=event, participant=self.name, after=after))
 
     @property
     def is_heard(self) -> bool:

@@ -62,6 +62,7 @@ class LockstepGate:
         self._reported_ns = self._again_ns = 0
         self._came_back: set[str] = set()
         self._new: dict[str, int] = {}
+        self._watchers: set[str] = set()
         self._strangers = {p.name: 0 for p in self.core.participants}
         """Those known by a rule that may not hear us yet, and since when they seem to."""
         self.timeouts = 0
@@ -121,9 +122,10 @@ class LockstepGate:
         now_ns, core, was_open = time.monotonic_ns(), self.core, self.core.is_open
         msg, stamp_ns = self._read(data)
         name = msg.participant
-        if msg.event == TickDone.JOIN:
+        if msg.event in (TickDone.JOIN, TickDone.WATCH):
             self._node.get_logger().info(f"lockstep: {name!r} takes part{f', after {msg.after}' if msg.after else ''}")
             self._new[name] = now_ns
+            (self._watchers.add if msg.event == TickDone.WATCH else self._watchers.discard)(name)
             if core.join(name, msg.after.lstrip("/")):
                 self._came_back.add(name)
         elif msg.event == TickDone.LEAVE:
@@ -161,8 +163,22 @@ class LockstepGate:
             return self._give_up(f"{what} after {waited_s:.1f} s", now_ns)
         if waited_s * NS_PER_S > LATE_NS and now_ns - self._reported_ns > LATE_NS:
             self._reported_ns = now_ns
+            if self._gone_watchers(now_ns):
+                return core.is_open
             self._node.get_logger().warning(f"lockstep: {self._late()} {what} after {waited_s:.1f} s; time waits")
         return False
+
+    def _gone_watchers(self, now_ns: int) -> list[str]:
+        """Lets those go whose nodes have gone and who only watched; returns their names."""
+        there = self._names_there()
+        gone = [name for name in self.core.waits_for if name in self._watchers and name not in there]
+        for name in gone:
+            self._node.get_logger().warning(f"lockstep: {name!r} has gone without leaving; time goes on without it")
+            self.core.leave(name, now_ns)
+        return gone
+
+    def _names_there(self) -> set[str]:
+        return {_full_name(p) for p in self._node.get_publishers_info_by_topic(names.TICK_DONE)}
 
     def _is_heard(self, now_ns: int) -> bool:
         """Returns whether everybody hears what is published from now on."""
@@ -242,7 +258,7 @@ class LockstepGate:
 
     def _late(self) -> str:
         """Returns the names of those who are waited for, and what is known of them."""
-        there = {_full_name(p) for p in self._node.get_publishers_info_by_topic(names.TICK_DONE)}
+        there = self._names_there()
         rules = {p.name: p.answer for p in self.core.participants}
         parts = []
         for name in self.core.waits_for or self._strangers:

@@ -11,15 +11,18 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
+from gibson_msgs.msg import SceneState
 from gibson_sim.bags.recording import Recording, report_lines
 from gibson_sim.client_config import RecordConfig
 from gibson_sim.errors import RecordError
 from gibson_sim.ros import names, qos
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.intake import DEPTH, Intake, Taken, offered_qos, recording_profile
+from gibson_sim.ros.lockstep_client import LockstepParticipant
 from gibson_sim.ros.node_main import goes_on, run_node, started_by_launcher, write_summary
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.ros.record_services import offer_services
+from gibson_sim.simulation.lockstep import CAMERAS
 
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 TURN_S = 0.01
@@ -41,7 +44,13 @@ class RecordNode(Node):
     /clock before it, as `ros2 bag record --use-sim-time` has it; nothing is written before the first /clock, except latched
     messages, which get its time. Asked to end, it takes everything that was sent before, then closes the bag.
 
+    It takes part in a simulation in lockstep: time does not go on with new images before it has written those of the tick before,
+    however slow the disk is.
+
     Parameters: the fields of ``gibson_sim.config.RecordConfig``.
+
+    Subscribes, where there is lockstep:
+        scene_state (gibson_msgs/SceneState): at which ticks cameras are due.
 
     Services (rosbag2_interfaces): ~/pause, ~/resume, ~/is_paused; ~/split_bagfile, or ~/snapshot with ``snapshot_seconds``.
     """
@@ -59,6 +68,7 @@ class RecordNode(Node):
         self._recording = Recording(config)
         self._seen: set[str] = set()
         self._unheard: dict[str, float] = {}
+        self._lockstep: LockstepParticipant | None = None
         self._intake = Intake(self)
         self._intake.subscribe(names.CLOCK, CLOCK_TYPE, QoSProfile(depth=DEPTH))
         offer_services(self, self._recording, lambda: self._take_waiting(all_of_it=True))
@@ -82,6 +92,15 @@ class RecordNode(Node):
             elif publishers:
                 self._seen.add(topic)
                 self._record(topic, publishers)
+        if self._lockstep is None and self.count_subscribers(names.TICK_DONE):
+            self.create_subscription(SceneState, names.SCENE_STATE, self._on_state, qos.STATE)
+            self._lockstep = LockstepParticipant(self, after=CAMERAS, watches=True)
+
+    def _on_state(self, msg: SceneState) -> None:
+        """Writes what came before this tick; what it brings itself is being drawn meanwhile."""
+        if msg.due_cameras and self._lockstep is not None:
+            self._take_waiting()
+            self._lockstep.done(msg.header.stamp)
 
     def _warn_of_unheard(self, unheard: dict[str, tuple[int, int]]) -> None:
         """Warns once of publishers that stay unheard: those that came later may offer less than the subscription asks for."""
@@ -135,6 +154,8 @@ class RecordNode(Node):
             self._take_waiting()
             executor.spin_once(timeout_sec=max(0.0, TURN_S - (time.monotonic() - began)))
         executor.remove_node(self)
+        if self._lockstep is not None:
+            self._lockstep.leave()
         if not self._recording.done:
             self._drain()
         return ENDED_EARLY if self._recording.error else 0
