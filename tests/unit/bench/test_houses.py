@@ -8,11 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
-from gibson_sim.bench.houses import divided, make_scan
+from gibson_sim.bench.houses import divided, make_scan, opened
 from gibson_sim.bench.memory import drift, growth
 from gibson_sim.errors import SceneError
+from gibson_sim.render.solids import find_solids
+from gibson_sim.robots.spec import Shape
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.mesh import load_mesh
+from gibson_sim.scenes.mesh_types import MeshPart, area_normals
+from gibson_sim.scenes.primitives import primitive_mesh
 
 CORNERS = np.array([[0.0, 0, 0], [4, 0, 0], [4, 1, 0], [0, 1, 0]])
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])
@@ -81,3 +85,15 @@ def test_a_repeated_texture_is_refused(tmp_path: Path) -> None:
 def test_growth_and_drift_compare_the_last_third_with_the_first_after_the_warm_up() -> None:
     values = [999.0, 999.0, 999.0, *[10.0] * 3, *[0.0] * 3, *[15.0] * 3]
     assert (growth(values), drift(values)) == (5.0, 1.5)
+
+
+def test_nothing_in_a_scan_is_closed() -> None:
+    parts = [primitive_mesh(Shape("box", (0.4, 0.4, 0.4))).parts[0], primitive_mesh(Shape("sphere", (0.3, 0.0, 0.0))).parts[0]]
+    vertices = np.concatenate([parts[0].vertices, parts[1].vertices + np.float32(2.0)]).astype(np.float64)
+    triangles = np.concatenate([parts[0].triangles, parts[1].triangles + len(parts[0].vertices)]).astype(np.int64)
+    left = opened(vertices, triangles)
+    assert len(left) == len(triangles) - 2
+    gone = vertices[np.array([t for t in triangles.tolist() if t not in left.tolist()])]
+    assert sorted(gone[:, :, 2].mean(axis=1).tolist()) == pytest.approx([-0.2, 1.7], abs=0.01)
+    scan = MeshPart(vertices.astype(np.float32), area_normals(vertices, left).astype(np.float32), None, left.astype(np.uint32))
+    assert not len(find_solids([scan], [True]).boxes)

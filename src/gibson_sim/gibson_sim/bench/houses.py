@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import matrix_from_pose
+from gibson_sim.scenes.collision.triangles import components
 from gibson_sim.scenes.generator.gltf import Paint, Solid, write_glb
 from gibson_sim.scenes.generator.rooms import wobble
 from gibson_sim.scenes.mesh import MeshLoader, scene_roots
@@ -36,7 +37,7 @@ def make_scan(scene: SceneSpec, triangles: int, folder: Path) -> int:
 
     Args:
         scene: all of its materials are opaque or are drawn so; textures are not repeated.
-        triangles: at least so many; surfaces are divided until there are.
+        triangles: about so many, or more; surfaces are divided until there are.
         folder: exists.
 
     Raises:
@@ -45,6 +46,7 @@ def make_scan(scene: SceneSpec, triangles: int, folder: Path) -> int:
     vertices, uvs, corners, atlas = _merged(scene)
     vertices, uvs, corners = divided(vertices, uvs, corners, triangles)
     vertices = vertices + np.stack([_unevenness(vertices, axis) for axis in range(3)], axis=1)
+    corners = opened(vertices, corners)
     cv2.imwrite(str(folder / "atlas.jpg"), cv2.cvtColor(atlas, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 92])
     solid = Solid()
     solid.add(Paint("scan", "atlas.jpg", unlit=True), vertices, area_normals(vertices, corners), uvs, corners)
@@ -126,6 +128,15 @@ def divided(vertices: F64, uvs: F64, triangles: I64, least: int) -> tuple[F64, F
         if len(made[2]) >= least:
             return made
         limit *= max(0.75, 0.97 * math.sqrt(len(made[2]) / least))
+
+
+def opened(vertices: F64, triangles: I64) -> I64:
+    """Returns the triangles (F, 3) without the lowest one of each thing: no scanner sees undersides, so nothing in a scan is closed."""
+    place = np.unique(vertices.astype(np.float32), axis=0, return_inverse=True)[1].ravel()
+    thing = components(place[triangles], int(place.max()) + 1)
+    order = np.lexsort((vertices[triangles, 2].mean(axis=1), thing))
+    lowest = order[np.unique(thing[order], return_index=True)[1]]
+    return np.delete(triangles, lowest, axis=0)
 
 
 def _normals(vertices: F64, triangles: I64) -> F64:
