@@ -11,6 +11,7 @@ import importlib.util
 import math
 import os
 from collections.abc import Sequence
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -231,7 +232,7 @@ class IGibson(_Peer):
 
     Args:
         folder: as ``MuJoCo``.
-        sizes: as ``MuJoCo``; each has a renderer of its own.
+        sizes: as ``MuJoCo``; there is one renderer at a time, since it takes the context of the last one for its own.
     """
 
     def __init__(self, folder: str, sizes: Sequence[tuple[int, int]]) -> None:
@@ -240,19 +241,22 @@ class IGibson(_Peer):
 
         # Its shaders for OpenGL 4.5, since software renderers have no 4.6; its light needs data that it does not bring.
         settings = MeshRendererSettings(enable_pbr=False, enable_shadow=False, msaa=False, glsl_version_override=450)
-        self._renderers = {}
-        for width, height in sizes:
-            renderer = MeshRenderer(width=width, height=height, rendering_settings=settings)
-            renderer.load_object(os.path.join(folder, "mesh.obj"))
-            renderer.add_instance_group([0])
-            self._renderers[width, height] = renderer
+        self._make = partial(MeshRenderer, rendering_settings=settings)
+        self._mesh = os.path.join(folder, "mesh.obj")
+        self._size = (0, 0)
         self._renderer: Any = None
         self._modes: tuple[str, ...] = ("rgb",)
         self.info = {"version": version("igibson")}
 
     def prepare(self, width: int, height: int, fov_y: float, outputs: tuple[str, ...]) -> None:
         """Makes ready for images of this size (pixels, radians) with these outputs."""
-        self._renderer = self._renderers[width, height]
+        if self._size != (width, height):
+            if self._renderer is not None:
+                self._renderer.release()
+            self._renderer, self._size = self._make(width=width, height=height), (width, height)
+            self._renderer.load_object(self._mesh)
+            self._renderer.add_instance_group([0])
+            self._renderer.set_z_near_z_far(NEAR, FAR)
         self._renderer.set_fov(math.degrees(fov_y))
         self._modes = tuple(_IGIBSON_MODES[name] for name in outputs)
 
