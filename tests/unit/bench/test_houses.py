@@ -91,6 +91,10 @@ def test_nothing_in_a_scan_is_closed() -> None:
     parts = [primitive_mesh(Shape("box", (0.4, 0.4, 0.4))).parts[0], primitive_mesh(Shape("sphere", (0.3, 0.0, 0.0))).parts[0]]
     vertices = np.concatenate([parts[0].vertices, parts[1].vertices + np.float32(2.0)]).astype(np.float64)
     triangles = np.concatenate([parts[0].triangles, parts[1].triangles + len(parts[0].vertices)]).astype(np.int64)
+    vertices, triangles = (
+        np.vstack([vertices, CORNERS - 3.0]),
+        np.vstack([triangles, TRIANGLES + len(vertices)]),
+    )  # a floor is open
     left = opened(vertices, triangles)
     assert len(left) == len(triangles) - 2
     gone = vertices[np.array([t for t in triangles.tolist() if t not in left.tolist()])]

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import matrix_from_pose
+from gibson_sim.render.clusters import places
+from gibson_sim.render.solids import find_solids
 from gibson_sim.scenes.collision.triangles import components
 from gibson_sim.scenes.generator.gltf import Paint, Solid, write_glb
 from gibson_sim.scenes.generator.rooms import wobble
@@ -131,12 +133,15 @@ def divided(vertices: F64, uvs: F64, triangles: I64, least: int) -> tuple[F64, F
 
 
 def opened(vertices: F64, triangles: I64) -> I64:
-    """Returns the triangles (F, 3) without the lowest one of each thing: no scanner sees undersides, so nothing in a scan is closed."""
-    place = np.unique(vertices.astype(np.float32), axis=0, return_inverse=True)[1].ravel()
-    thing = components(place[triangles], int(place.max()) + 1)
-    order = np.lexsort((vertices[triangles, 2].mean(axis=1), thing))
-    lowest = order[np.unique(thing[order], return_index=True)[1]]
-    return np.delete(triangles, lowest, axis=0)
+    """Returns the triangles (F, 3) without the lowest one of each closed solid: no scanner sees undersides, so nothing in a scan is closed."""
+    normals = area_normals(vertices, triangles).astype(np.float32)
+    mesh = MeshPart(vertices.astype(np.float32), normals, None, triangles.astype(np.uint32))
+    closed = np.flatnonzero(find_solids([mesh], [True]).triangles[0])
+    place = places(mesh.vertices)
+    solid = components(place[triangles[closed]], int(place.max()) + 1)
+    order = np.lexsort((vertices[triangles[closed], 2].mean(axis=1), solid))
+    lowest = order[np.unique(solid[order], return_index=True)[1]]
+    return np.delete(triangles, closed[lowest], axis=0)
 
 
 def _normals(vertices: F64, triangles: I64) -> F64:
