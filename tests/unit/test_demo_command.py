@@ -59,7 +59,7 @@ def test_the_task_node_and_the_render_node_take_part_in_lockstep_and_both_views_
     job = _plan(args, tmp_path, episode, episode_door(episode), "head_camera")
     assert list(job.configs) == ["task", "record", "render", "physics"]
     physics, task, record = job.configs["physics"], job.configs["task"], job.configs["record"]
-    assert physics.lockstep and physics.participants == "task; render" and physics.rate == 0.0
+    assert physics.lockstep and physics.participants == "task; render; record" and physics.rate == 0.0
     assert [float(part) for part in physics.start.split(",")][:2] == pytest.approx(episode.start.position[:2])
     assert (task.seed, task.baseline, task.scene) == (3, "scripted", "arena")
     assert {"head_camera/image_raw", f"{VIEW}/image_raw"} <= set(record.wanted_topics())
