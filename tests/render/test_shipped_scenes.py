@@ -11,6 +11,7 @@ import pytest
 from gibson_sim.making.planning.shipped import SHIPPED
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.render.renderer import Renderer
+from gibson_sim.render.solids import Insides
 from gibson_sim.scenes.placement import populate
 from gibson_sim.scenes.spec import drawn_scene
 from gibson_sim.types import VelocityCommand
@@ -26,7 +27,7 @@ def test_all_designs_are_shipped() -> None:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_a_scene_loads_drives_and_is_drawn(name: str) -> None:
+def test_a_scene_loads_drives_and_is_drawn(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = populate(str(FOLDER / name), "gibson_bot", "")
     assert not scene.warnings
     with PhysicsWorld(scene, step_hz=240) as world:
@@ -43,6 +44,8 @@ def test_a_scene_loads_drives_and_is_drawn(name: str) -> None:
     # Without levels of detail, which take long to make.
     with Renderer(drawn, detail_px=0) as renderer:
         frame = renderer.render(state, [camera])[0]
+        monkeypatch.setattr(Insides, "may_hold", lambda *_: True)  # solids are drawn with all their sides
+        with_all_sides = renderer.render(state, [camera])[0]
     assert frame.rgb is not None and frame.depth is not None and frame.semantic is not None
     assert frame.rgb.std() > 15
     classes = {drawn.semantic_classes[k] for k in np.unique(frame.semantic).tolist() if k}
@@ -50,3 +53,5 @@ def test_a_scene_loads_drives_and_is_drawn(name: str) -> None:
     near = frame.depth[np.isfinite(frame.depth)]
     assert 0.05 < np.median(near) < 20.0
     assert len(near) > 0.5 * frame.depth.size
+    np.testing.assert_allclose(frame.depth, with_all_sides.depth, rtol=0.01)
+    assert (frame.rgb == with_all_sides.rgb).mean() > 0.99, "edges at most"

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.render.solids import Insides
+from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.mesh_types import Mesh
 from gibson_sim.scenes.primitives import primitive_mesh
-from gibson_sim.scenes.spec import DrawnScene
+from gibson_sim.scenes.spec import DrawnScene, drawn_scene
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame, Pose
 from render.drawing import BLUE, EYE, GREEN, RED, box, draw, draw_mesh, eye_at, loader_of, mesh_visual, scene, state, where
 from render.rooms import rooms, way
@@ -134,3 +136,24 @@ def test_the_sky_is_behind_glass_and_solids() -> None:
     assert frame.rgb is not None
     assert frame.rgb[0, 0].max() == 0
     assert where(frame, 2).any()
+
+
+@pytest.mark.parametrize(
+    "world",
+    [
+        "aws_small_house/worlds/small_house.world",
+        "drake_living_room/models/furnished_living_room.dmd.yaml",
+        "playcanvas_vr_gallery/examples/assets/models/vr-gallery.glb",
+    ],
+)
+def test_worlds_of_others_look_as_with_all_sides(data_dir: Path, world: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    spec = load_scene(data_dir / world)
+    drawn = replace(drawn_scene(spec, ()), visuals=tuple(v for v in spec.visuals if not v.link))
+    rng = np.random.default_rng(0)
+    eyes = rng.uniform((-4.0, -4.0, 0.3), (4.0, 4.0, 1.7), (12, 3)).tolist()
+    ahead = rng.uniform(-4.0, 4.0, (12, 2)).tolist()
+    cameras = [
+        eye_at((x, y, z), look_at=(u, v, 1.0), width=160, height=120, outputs=("rgb", "depth"))
+        for (x, y, z), (u, v) in zip(eyes, ahead, strict=True)
+    ]
+    _both_ways(drawn, cameras, monkeypatch, detail_px=0.0)
