@@ -77,8 +77,13 @@ def _off_edges(frame: Frame) -> NDArray[np.bool_]:
     depth, label = np.where(np.isfinite(frame.depth), frame.depth, 0.0).astype(np.float32), frame.instance
     one = cv2.dilate(label, kernel) == cv2.erode(label, kernel)
     smooth = cv2.dilate(depth, kernel) - cv2.erode(depth, kernel) < 0.1 * depth
-    bend = (cv2.dilate(frame.normal, kernel) - cv2.erode(frame.normal, kernel)).max(axis=2)
-    return one & smooth & (bend < 1.0)  # a narrow face seen from the side is an edge, too
+    return one & smooth
+
+
+def _flat(frame: Frame) -> NDArray[np.bool_]:
+    """Where no edge of a surface is within a pixel: a narrow face seen from the side is an edge, too."""
+    kernel = np.ones((3, 3), np.uint8)
+    return (cv2.dilate(frame.normal, kernel) - cv2.erode(frame.normal, kernel)).max(axis=2) < 1.0
 
 
 def test_it_takes_fewer_triangles(pairs: list[Pair]) -> None:
@@ -114,7 +119,7 @@ def test_surfaces_are_half_a_pixel_from_where_they_are(pairs: list[Pair]) -> Non
         px = along * cos * camera.intrinsics()[0, 0] / fine.depth[there]
         assert np.sqrt((px**2).mean()) < 0.3
         assert np.percentile(px, 99) < 0.65  # the error of a level is a mean about each vertex: single points may be farther off
-        assert px.max() < 1.5
+        assert px[_flat(fine)[there]].max() < 1.5
 
 
 def test_normals_stay_within_a_few_degrees(pairs: list[Pair]) -> None:

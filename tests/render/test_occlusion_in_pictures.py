@@ -77,6 +77,7 @@ def test_the_nearest_things_are_drawn_first_where_large_ones_leave_gaps(
     for camera in PLAIN:
         (with_it, some), (without, every) = (_drawn(renderer, [camera], on) for on in (True, False))
         _assert_equal(with_it, without)
+        assert some <= every
         fewer, all_of_them = fewer + some, all_of_them + every
     assert fewer < all_of_them
     assert _drawn(renderer, PLAIN[:1], True)[1] <= large_alone

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -14,8 +15,8 @@ from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.mesh_types import Mesh
 from gibson_sim.scenes.primitives import primitive_mesh
 from gibson_sim.scenes.spec import DrawnScene, drawn_scene
-from gibson_sim.types import OUTPUTS, CameraSpec, Frame, Pose
-from render.drawing import BLUE, EYE, GREEN, RED, box, draw, draw_mesh, eye_at, loader_of, mesh_visual, scene, state, where
+from gibson_sim.types import OUTPUTS, CameraSpec, Frame
+from render.drawing import BLUE, DARK, EYE, GREEN, RED, box, draw, draw_mesh, eye_at, loader_of, mesh_visual, scene, state, where
 from render.rooms import rooms, way
 
 pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
@@ -55,12 +56,16 @@ def test_they_are_for_bent_lenses_too(monkeypatch: pytest.MonkeyPatch) -> None:
     _both_ways(scene(*visuals), wide, monkeypatch, loader=loader)
 
 
-def test_half_of_the_triangles_of_a_box_are_not_filled() -> None:
-    # What is left out cannot be seen, so it is seen by its absence: of a box whose front is missing, and which is said to be closed.
+def _box_without_front() -> Mesh:
+    """Returns a box 2 m ahead, whose far side is 2.5 m away."""
     (part,) = primitive_mesh(box((0, 0, 0)).shape).parts
     there = (part.normals[part.triangles[:, 0]] @ np.array([-1.0, 0.0, 0.0])) < 0.5
-    opened = Mesh((replace(part, vertices=part.vertices + np.float32([2.0, 0.0, 0.0]), triangles=part.triangles[there]),))
-    with Renderer(scene(mesh_visual()), loader=loader_of(opened)) as renderer:
+    return Mesh((replace(part, vertices=part.vertices + np.float32([2.0, 0.0, 0.0]), triangles=part.triangles[there]),))
+
+
+def test_half_of_the_triangles_of_a_box_are_not_filled() -> None:
+    # What is left out cannot be seen, so it is seen by its absence: of a box whose front is missing, and which is said to be closed.
+    with Renderer(scene(mesh_visual()), loader=loader_of(_box_without_front())) as renderer:
         assert renderer._scene is not None
         (frame,) = renderer.render(state(), [EYE])
         assert frame.depth is not None
@@ -72,11 +77,7 @@ def test_half_of_the_triangles_of_a_box_are_not_filled() -> None:
 
 
 def test_an_open_box_shows_its_inside() -> None:
-    (part,) = primitive_mesh(box((0, 0, 0)).shape).parts
-    there = (part.normals[part.triangles[:, 0]] @ np.array([-1.0, 0.0, 0.0])) < 0.5
-    frame = draw_mesh(
-        Mesh((replace(part, vertices=part.vertices + np.float32([2.0, 0.0, 0.0]), triangles=part.triangles[there]),))
-    )
+    frame = draw_mesh(_box_without_front())
     assert frame.depth is not None
     assert frame.depth[32, 32] == pytest.approx(2.5)
 
@@ -127,15 +128,16 @@ def test_a_mirrored_mesh_is_seen_from_outside() -> None:
     assert frame.depth[32, 32] == pytest.approx(1.5)
 
 
-def test_the_sky_is_behind_glass_and_solids() -> None:
-    frame = draw(
-        box((2.0, 0.0, 0.0), RED, (0.2, 0.2, 0.2)),
-        box((1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.5), (0.01, 0.5, 0.5)),
-        camera=replace(EYE, pose=Pose((0, 0, 0), EYE.pose.quat_xyzw)),
-    )
+@pytest.mark.parametrize("glass", [False, True])
+def test_the_sky_is_behind_solids_and_glass(glass: bool, tmp_path: Path) -> None:
+    sky = tmp_path / "sky.hdr"
+    assert cv2.imwrite(str(sky), np.full((32, 64, 3), (0.0, 1.0, 0.0), dtype=np.float32))
+    pane = box((1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.5), (0.01, 0.5, 0.5))
+    things = (box((2.0, 0.0, 0.0), RED, (0.2, 0.2, 0.2)), *([pane] if glass else []))
+    frame = draw(*things, light=replace(DARK, backdrop=str(sky)))
     assert frame.rgb is not None
-    assert frame.rgb[0, 0].max() == 0
-    assert where(frame, 2).any()
+    assert where(frame, 1)[[0, 0, -1, -1], [0, -1, 0, -1]].all()
+    assert (frame.rgb[32, 38, 2] > 60) == glass
 
 
 @pytest.mark.parametrize(

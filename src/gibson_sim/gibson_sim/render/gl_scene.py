@@ -243,7 +243,7 @@ class GlScene:
         first = 0
         for k, plan in enumerate(plans):
             self._look_at(plan.picture, k)
-            for (moving, closed), rows in zip(kinds, drawn[len(kinds) * k :], strict=False):
+            for (moving, closed), rows in zip(kinds, drawn[len(kinds) * k : len(kinds) * (k + 1)], strict=True):
                 if len(rows):
                     self._gl.glUseProgram(self._programs.depth(moving=moving).glo)
                     self._draw_both_sides(not (plan.fronts and closed))
