@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.render import gl_scene
+from gibson_sim.render.grouping import Grouping
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame
 from render.drawing import BLUE, EYE, GREEN, RED, box, eye_at, scene, state
@@ -132,7 +133,8 @@ def test_more_views_than_one_target_holds_come_in_several(renderer: Renderer, mo
     cameras = [replace(EYE, name=f"eye {k}", pose=pose, width=40, height=30, outputs=OUTPUTS) for k, pose in enumerate(way(7))]
     expected = renderer.render(NOW, cameras, BEFORE)
     assert renderer._drawing is not None
-    monkeypatch.setattr(renderer._drawing, "largest", 64)
+    monkeypatch.setattr(renderer._drawing, "_largest", 64)
+    monkeypatch.setattr(renderer._drawing, "groups", Grouping(64).of)
     assert len(list(renderer.drawn(NOW, cameras, BEFORE))) > 2
     _assert_same(renderer.render(NOW, cameras, BEFORE), expected)
 

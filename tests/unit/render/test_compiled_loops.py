@@ -12,9 +12,9 @@ from gibson_sim.geometry.compiling import CAN_COMPILE
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_quat
 from gibson_sim.render.batches import Batches
 from gibson_sim.render.building import build_batches
-from gibson_sim.render.planning import VIEW, Picture, Plan, Planner
+from gibson_sim.render.planning import KINDS, VIEW, Picture, Plan, Planner
 from gibson_sim.render.unpacking import depth_of, normals_of, positions_of, turned
-from gibson_sim.render.visibility import Visibility
+from gibson_sim.render.visibility import Visibility, link_frames, world_from_links
 from gibson_sim.robots.spec import Shape, VisualSpec
 from gibson_sim.scenes.mesh_types import Mesh
 from gibson_sim.scenes.primitives import primitive_mesh
@@ -80,13 +80,51 @@ def test_plans_are_the_same(links: tuple[str, ...], detail_px: float, cull: bool
         for ours, theirs in zip(numpy, loops, strict=True):
             for name in ("chunks", "draws", "batch", "near"):
                 np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
-            assert (ours.solid, ours.triangles) == (theirs.solid, theirs.triangles)
+            assert (ours.solid, ours.triangles, ours.fronts) == (theirs.solid, theirs.triangles, theirs.fronts)
+            assert ours.T_camera_links.tobytes() == theirs.T_camera_links.tobytes()
         drawn += int(numpy[0].draws[:, 0].sum())
         left += int(numpy[1].draws[:, 0].sum())
     assert 0 < left < drawn, "something must be drawn, and something hidden"
     finest = batches.chunk_group < 0
     coarse = [bool((~finest[plan.chunks]).any()) for plan, _ in pairs[1]]
     assert any(coarse) == (detail_px > 0.0), "coarser chunks are drawn where they may be, and there alone"
+
+
+def test_frames_of_links_are_the_same() -> None:
+    rng = np.random.default_rng(6)
+    quats = rng.normal(size=(40, 4))
+    quats /= np.linalg.norm(quats, axis=1)[:, None]
+    positions = rng.normal(size=(40, 3))
+    links = [world_from_links(positions, quats, loops=loops) for loops in (False, True)]
+    assert links[0].tobytes() == links[1].tobytes()
+    camera = np.eye(4)
+    camera[:3, :3], camera[:3, 3] = _rotation(rng) @ R_LINK_OPTICAL, rng.uniform(-3, 3, 3)
+    (ours, our_eyes), (theirs, their_eyes) = (link_frames(camera, links[0], loops=loops) for loops in (False, True))
+    assert (ours.tobytes(), our_eyes.tobytes()) == (theirs.tobytes(), their_eyes.tobytes())
+    np.testing.assert_allclose(ours, np.linalg.inv(camera) @ links[0], atol=1e-12)
+    np.testing.assert_allclose(our_eyes, (np.linalg.inv(links[0]) @ camera[:, 3])[:, :3], atol=1e-12)
+
+
+@pytest.mark.parametrize("loops", [False, True], ids=["NumPy", "loops"])
+def test_draws_that_fill_the_depth_stand_by_kind_and_in_their_order(loops: bool) -> None:
+    batches = _batches(np.random.default_rng(3), ("a", "b", "c"))
+    planner = Planner(batches, Visibility(batches), 0.0, cull=True, loops=loops)
+    table = planner.table.copy()
+    table[::3, 0] = 0  # of these chunks nothing fills the depth
+    chunks = np.random.default_rng(1).permutation(len(table))
+    draws, counts = planner.by_kind(chunks, table)
+    batch_of = np.repeat(np.arange(len(batches.batches)), [b.end_chunk - b.first_chunk for b in batches.batches])
+    expected = [
+        [
+            table[chunk].tolist()
+            for chunk in chunks.tolist()
+            if table[chunk, 0] and KINDS[kind] == (batches.batches[batch_of[chunk]].moving, batches.batches[batch_of[chunk]].closed)
+        ]
+        for kind in range(len(KINDS))
+    ]  # fmt: skip
+    assert counts == [len(rows) for rows in expected]
+    assert sum(count > 0 for count in counts) > 2
+    assert draws.tolist() == [row for rows in expected for row in rows]
 
 
 def _pixels(rng: np.random.Generator) -> NDArray[np.float32]:

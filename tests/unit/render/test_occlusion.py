@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.transforms import matrix_from_quat
-from gibson_sim.render.choosing import SQUARE, PieceTable, Shown, depth_pyramid, without_hidden
+from gibson_sim.render.hiding import SQUARE, PieceTable, without_hidden
 from gibson_sim.render.occlusion import DepthPyramid, Outlines, pixels_from_links
 
 NEAR = 0.05
@@ -53,15 +53,15 @@ def _hidden(
     loops: bool, depth: NDArray[np.float32], boxes: NDArray[np.float64], *T_camera_box: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """Returns which boxes are hidden, as NumPy says or the loops; they have one pose, or each its own."""
-    pixels = pixels_from_links(np.stack(T_camera_box), K)
-    n = len(boxes)
+    T, n = np.stack(T_camera_box), len(boxes)
     if not loops:
-        return Outlines(boxes, np.broadcast_to(pixels, (n, 3, 4)), (WIDTH, HEIGHT), NEAR).hidden(DepthPyramid(depth))
-    every, link = np.arange(n), np.arange(n) if len(pixels) == n else np.zeros(n, dtype=np.int64)
+        pixels = np.broadcast_to(pixels_from_links(T, K), (n, 3, 4))
+        return Outlines(boxes, pixels, (WIDTH, HEIGHT), NEAR).hidden(DepthPyramid(depth))
+    every, link = np.arange(n), np.arange(n) if len(T) == n else np.zeros(n, dtype=np.int64)
     # Each box is a chunk of one piece, and none goes on where the one before ends.
     draws, span = np.zeros((n, 5), dtype=np.uint32), np.stack([np.full(n, 3), 100 * every], axis=1).astype(np.uint32)
-    pieces, shown = PieceTable(every, np.ones(n, dtype=np.int64), boxes, span), Shown(float(WIDTH), float(HEIGHT), NEAR)
-    seen, *_ = without_hidden(every, np.zeros(n, dtype=np.int64), draws, n, pieces, link, pixels, shown, depth_pyramid(depth))
+    pieces = PieceTable(every, np.ones(n, dtype=np.int64), boxes, span)
+    seen, *_ = without_hidden(depth, every, np.zeros(n, dtype=np.int64), draws, n, pieces, link, T, K, NEAR)
     covered = np.ones(n, dtype=bool)
     covered[seen] = False
     return covered

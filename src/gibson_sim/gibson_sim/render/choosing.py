@@ -1,6 +1,5 @@
-"""What ``visibility``, ``planning``, ``pieces``, ``occlusion`` and ``solids`` do in NumPy, as loops that are compiled: for the few hundred
-chunks of a picture NumPy's calls take far longer than the arithmetic. Results are equal, to the bit (the tests compare them), but for what is called
-hidden: there they may differ by a rounding, where no pixel depends on it.
+"""What ``visibility``, ``planning`` and ``solids`` do in NumPy, as loops that are compiled: for the few hundred chunks of a picture NumPy's calls
+take far longer than the arithmetic. Results are equal, to the bit (the tests compare them).
 """
 
 from __future__ import annotations
@@ -13,14 +12,9 @@ from numpy.typing import NDArray
 from gibson_sim.geometry.compiling import compiled
 
 B1 = NDArray[np.bool_]
-F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 U32 = NDArray[np.uint32]
-SQUARE = 8
-"""Side of the smallest squares of a pyramid of depths, pixels."""
-MARGIN = 1e-5
-"""Part by which a box must lie deeper than what hides it, since depths are rounded."""
 
 
 class Detail(NamedTuple):
@@ -51,34 +45,135 @@ class Chunks(NamedTuple):
     link: I64
 
 
-class PieceTable(NamedTuple):
-    """Pieces of chunks, as ``Pieces`` has them."""
+class Solids(NamedTuple):
+    """Boxes of closed solids, as ``Batches`` has them."""
 
-    row: I64
-    number: I64
     box: F64
-    span: U32
+    link: I64
 
 
-class Shown(NamedTuple):
-    """A picture."""
+class Rules(NamedTuple):
+    """What decides where chunks come in the order of drawing."""
 
-    width: float
-    """Pixels."""
-    height: float
-    near: float
-    """Metres."""
+    batch_of: I64
+    """(C,), batch of each chunk."""
+    cut: B1
+    """(B,), whether a batch may have holes."""
+    has_solid: B1
+    """(C,), whether something of a chunk may be solid."""
+    has_back: B1
+    """(C,), whether something may shine through it."""
+    table: U32
+    """(C, 5), the draw of each chunk, ``planning.draw_table``."""
 
 
-class Levels(NamedTuple):
-    """A pyramid of least values."""
+@compiled
+def world_from_links(positions: F64, quats_xyzw: F64) -> F64:
+    """Returns ``visibility.world_from_links``."""
+    T = np.zeros((len(positions) + 1, 4, 4))
+    for i in range(3):
+        T[0, i, i] = 1.0
+    for k in range(len(positions)):
+        x, y, z, w = quats_xyzw[k, 0], quats_xyzw[k, 1], quats_xyzw[k, 2], quats_xyzw[k, 3]
+        M = T[k + 1]
+        M[0, 0], M[0, 1], M[0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)
+        M[1, 0], M[1, 1], M[1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
+        M[2, 0], M[2, 1], M[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
+        for i in range(3):
+            M[i, 3] = positions[k, i]
+    for k in range(len(T)):
+        T[k, 3, 3] = 1.0
+    return T
 
-    values: F32
-    """Of all levels, one after the other."""
-    firsts: I64
-    """Where each level begins."""
-    widths: I64
-    """Columns of each level."""
+
+@compiled
+def link_frames(T_world_camera: F64, T_world_links: F64) -> tuple[F64, F64]:
+    """Returns ``visibility.link_frames``."""
+    T, eyes, C = np.zeros((len(T_world_links), 4, 4)), np.empty((len(T_world_links), 3)), T_world_camera
+    for k in range(len(T_world_links)):
+        W = T_world_links[k]
+        for i in range(3):
+            for j in range(4):
+                T[k, i, j] = C[0, i] * W[0, j] + C[1, i] * W[1, j] + C[2, i] * W[2, j]
+            T[k, i, 3] -= C[0, i] * C[0, 3] + C[1, i] * C[1, 3] + C[2, i] * C[2, 3]
+            eyes[k, i] = W[0, i] * (C[0, 3] - W[0, 3]) + W[1, i] * (C[1, 3] - W[1, 3]) + W[2, i] * (C[2, 3] - W[2, 3])
+        T[k, 3, 3] = 1.0
+    return T, eyes
+
+
+@compiled
+def planes_of_links(planes: F64, T_camera_links: F64, count: int) -> F64:
+    """Returns ``visibility.planes_of_links`` of the first ``count`` links."""
+    found = np.empty((count, len(planes), 4))
+    for k in range(count):
+        T = T_camera_links[k]
+        for p in range(len(planes)):
+            for j in range(4):
+                found[k, p, j] = planes[p, 0] * T[0, j] + planes[p, 1] * T[1, j] + planes[p, 2] * T[2, j] + planes[p, 3] * T[3, j]
+    return found
+
+
+@compiled
+def planned(
+    eyes: F64,
+    T_camera_links: F64,
+    planes: F64,
+    near_corners: F64,
+    detail: Detail,
+    groups: Groups,
+    chunks: Chunks,
+    link_box: F64,
+    solids: Solids,
+    rules: Rules,
+    near_part: float,
+) -> tuple[I64, U32, I64, int, I64, int, bool]:
+    """Returns what ``planning.Plan`` holds of a picture: chunks, draws, batch, solid, near, triangles and fronts.
+
+    Args:
+        eyes: (L, 3), the eye in the world and in each link, metres.
+        T_camera_links: (L, 4, 4), optical frame from each of these.
+        planes: (P, 4), of the image, optical frame; P = 0: nothing is outside.
+        near_corners: (4, 3), of the picture at its near distance, optical frame, metres.
+        detail: how coarse chunks may be.
+        groups: of chunks.
+        chunks: all of them.
+        link_box: as for ``chosen``.
+        solids: all of them.
+        rules: of the order.
+        near_part: as for ``drawing_order``.
+    """
+    inside, far = chosen(eyes, groups, chunks, link_box, planes_of_links(planes, T_camera_links, len(link_box)), detail)
+    nearest = inside[np.argsort(far, kind="mergesort")]
+    every, solid, near, total = drawing_order(nearest, rules, near_part)
+    drawn, batch, draws = np.empty(len(every), np.int64), np.empty(len(every), np.int64), np.empty((len(every), 5), np.uint32)
+    for i in range(len(every)):
+        drawn[i] = nearest[every[i]]
+        batch[i] = rules.batch_of[drawn[i]]
+        for k in range(5):
+            draws[i, k] = rules.table[drawn[i], k]
+    fronts = not begins_inside(solids, eyes, T_camera_links, near_corners)
+    return drawn, draws, batch, solid, near, total, fronts
+
+
+@compiled
+def by_kind(chunks: I64, table: U32, batch_of: I64, kind_of: I64, kinds: int) -> tuple[U32, I64]:
+    """Returns ``planning.by_kind``."""
+    first, kept = np.zeros(kinds + 1, dtype=np.int64), 0
+    for chunk in chunks:
+        if table[chunk, 0] > 0:
+            first[kind_of[batch_of[chunk]] + 1] += 1
+            kept += 1
+    count = first[1:].copy()
+    for k in range(kinds):
+        first[k + 1] += first[k]
+    draws = np.empty((kept, 5), dtype=np.uint32)
+    for chunk in chunks:
+        if table[chunk, 0] > 0:
+            kind = kind_of[batch_of[chunk]]
+            for k in range(5):
+                draws[first[kind], k] = table[chunk, k]
+            first[kind] += 1
+    return draws, count
 
 
 @compiled
@@ -137,9 +232,9 @@ def _reaches(planes: F64, sides: int, box: F64) -> bool:
 
 
 @compiled
-def begins_inside(boxes: F64, links: I64, eyes: F64, T_camera_links: F64, near_corners: F64) -> bool:
+def begins_inside(solids: Solids, eyes: F64, T_camera_links: F64, near_corners: F64) -> bool:
     """Returns whether any box touches the near rectangle of a picture; the arguments are those of ``solids.Insides``."""
-    reach = 0.0
+    boxes, links, reach = solids.box, solids.link, 0.0
     for c in range(4):
         x, y, z = near_corners[c, 0], near_corners[c, 1], near_corners[c, 2]
         reach = max(reach, np.sqrt(x * x + y * y + z * z))
@@ -166,15 +261,14 @@ def begins_inside(boxes: F64, links: I64, eyes: F64, T_camera_links: F64, near_c
 
 
 @compiled
-def drawing_order(
-    chunks: I64, batch_of: I64, cut: B1, has_solid: B1, has_back: B1, chunk_count: U32, near_part: float
-) -> tuple[I64, int, I64, int]:
+def drawing_order(chunks: I64, rules: Rules, near_part: float) -> tuple[I64, int, I64, int]:
     """Returns what ``planning.Planner`` needs to know of chunks that come the nearest first.
 
     Returns:
         The place in ``chunks`` of each draw; how many of them, the first ones, are solid; the nearest chunks without holes, about
         ``near_part`` of all triangles; and the number of all triangles.
     """
+    batch_of, cut, has_solid, has_back, table = rules
     n, total = len(chunks), 0
     first, size = np.full(len(cut), -1, dtype=np.int64), np.zeros(len(cut), dtype=np.int64)
     for i in range(n - 1, -1, -1):
@@ -182,7 +276,7 @@ def drawing_order(
         first[batch] = i
         if has_solid[chunks[i]]:
             size[batch] += 1
-        total += int(chunk_count[chunks[i]])
+        total += int(table[chunks[i], 0])
     total //= 3
     # The order of batches is that of their first chunk, but what has holes comes after what has none.
     begin, drawn = np.zeros(len(cut), dtype=np.int64), 0
@@ -204,138 +298,10 @@ def drawing_order(
             every[drawn] = i
             drawn += 1
     for i in range(n):
-        indices += int(chunk_count[chunks[i]])
+        indices += int(table[chunks[i], 0])
         if indices // 3 >= total * near_part:
             break
         if not cut[batch_of[chunks[i]]]:
             near[kept] = chunks[i]
             kept += 1
     return every[:drawn], solid, near[:kept], total
-
-
-@compiled
-def depth_pyramid(depth: F32) -> Levels:
-    """Returns the levels of ``occlusion.DepthPyramid`` for a depth image, (H, W)."""
-    height, width = depth.shape
-    rows, columns, size, levels = (height + SQUARE - 1) // SQUARE, (width + SQUARE - 1) // SQUARE, 1, 1
-    r, c = rows, columns
-    while r * c > 1:
-        size += r * c
-        r, c, levels = (r + 1) // 2, (c + 1) // 2, levels + 1
-    values = np.full(size, np.inf, dtype=np.float32)
-    firsts, widths = np.zeros(levels, dtype=np.int64), np.empty(levels, dtype=np.int64)
-    widths[0] = columns
-    for v in range(height):
-        row = v // SQUARE * columns
-        for u in range(width):
-            at = row + u // SQUARE
-            if depth[v, u] < values[at]:
-                values[at] = depth[v, u]
-    for level in range(1, levels):
-        finer, here, width = firsts[level - 1], firsts[level - 1] + rows * columns, (columns + 1) // 2
-        for v in range(rows):
-            for u in range(columns):
-                at, value = here + v // 2 * width + u // 2, values[finer + v * columns + u]
-                if value < values[at]:
-                    values[at] = value
-        firsts[level], widths[level], rows, columns = here, width, (rows + 1) // 2, width
-    return Levels(values, firsts, widths)
-
-
-@compiled
-def without_hidden(
-    chunks: I64,
-    batch: I64,
-    draws: U32,
-    solid: int,
-    pieces: PieceTable,
-    chunk_link: I64,
-    pixels_from_links: F64,
-    shown: Shown,
-    pyramid: Levels,
-) -> tuple[I64, I64, U32, int]:
-    """Returns the draws of the pieces of chunks that may be seen, those made one that follow each other.
-
-    Args:
-        chunks: (N,), as ``planning.Plan`` has them.
-        batch: (N,), likewise.
-        draws: (N, 5), likewise.
-        solid: how many of them, likewise.
-        pieces: of these chunks, and perhaps of others.
-        chunk_link: (C,), of all chunks.
-        pixels_from_links: (L, 3, 4), as ``occlusion.pixels_from_links`` returns them.
-        shown: the picture.
-        pyramid: of what has been drawn of it.
-
-    Returns:
-        Chunk, batch and draw of each, and how many of them are solid.
-    """
-    most = 0
-    for chunk in chunks:
-        most += pieces.number[chunk]
-    found_chunk, found_batch = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
-    found, n, solid_draws = np.empty((most, 5), dtype=np.uint32), 0, 0
-    last = -1  # the draw that may go on
-    for i in range(len(chunks)):
-        if i == solid:
-            last = -1
-        chunk = chunks[i]
-        matrix = pixels_from_links[chunk_link[chunk]]
-        for row in range(pieces.row[chunk], pieces.row[chunk] + pieces.number[chunk]):
-            if _hidden(pieces.box[row], matrix, shown, pyramid):
-                continue
-            count, first = pieces.span[row, 0], pieces.span[row, 1]
-            if (
-                last >= 0
-                and first == found[last, 2] + found[last, 0]
-                and draws[i, 4] == found[last, 4]
-                and batch[i] == found_batch[last]
-            ):
-                found[last, 0] += count
-                continue
-            for k in range(5):
-                found[n, k] = draws[i, k]
-            found[n, 0], found[n, 2] = count, first
-            found_chunk[n], found_batch[n], last = chunk, batch[i], n
-            n += 1
-        if i < solid:
-            solid_draws = n
-    return found_chunk[:n], found_batch[:n], found[:n], solid_draws
-
-
-@compiled
-def _hidden(box: F64, matrix: F64, shown: Shown, pyramid: Levels) -> bool:
-    """Returns whether a box cannot be seen past what the pyramid holds, or lies beside the picture; what is not ahead is not hidden."""
-    centre, half = np.empty(3), np.empty((3, 3))
-    for k in range(3):
-        centre[k] = matrix[k, 0] * box[0] + matrix[k, 1] * box[1] + matrix[k, 2] * box[2] + matrix[k, 3]
-        for j in range(3):
-            half[k, j] = matrix[k, j] * box[3 + j]
-    nearest = centre[2] - abs(half[2, 0]) - abs(half[2, 1]) - abs(half[2, 2])
-    if not nearest > shown.near:
-        return False
-    left, right, top, bottom = np.inf, -np.inf, np.inf, -np.inf
-    for corner in range(8):
-        x, y, z = (1.0 if corner & 1 else -1.0), (1.0 if corner & 2 else -1.0), (1.0 if corner & 4 else -1.0)
-        depth = centre[2] + half[2, 0] * x + half[2, 1] * y + half[2, 2] * z
-        u = (centre[0] + half[0, 0] * x + half[0, 1] * y + half[0, 2] * z) / depth
-        v = (centre[1] + half[1, 0] * x + half[1, 1] * y + half[1, 2] * z) / depth
-        left, right, top, bottom = min(left, u), max(right, u), min(top, v), max(bottom, v)
-    left, right, top, bottom = np.floor(left), np.ceil(right), np.floor(top), np.ceil(bottom)
-    if right < 0 or bottom < 0 or left >= shown.width or top >= shown.height:
-        return True
-    x0, x1 = int(max(left, 0.0)) // SQUARE, int(min(right, shown.width - 1.0)) // SQUARE
-    y0, y1 = int(max(top, 0.0)) // SQUARE, int(min(bottom, shown.height - 1.0)) // SQUARE
-    # The level at which the rectangle touches two squares a side at most.
-    level, reach = 0, max(x1 - x0, y1 - y0) - 1
-    while reach > 0 and level < len(pyramid.widths) - 1:
-        level += 1
-        reach >>= 1
-    upper = pyramid.firsts[level] + (y0 >> level) * pyramid.widths[level]
-    lower = pyramid.firsts[level] + (y1 >> level) * pyramid.widths[level]
-    left_column, right_column, values = x0 >> level, x1 >> level, pyramid.values
-    least = min(
-        min(values[upper + left_column], values[upper + right_column]),
-        min(values[lower + left_column], values[lower + right_column]),
-    )
-    return bool(shown.near / nearest < least * (1.0 - MARGIN))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.render import gl as GL
 from gibson_sim.render.context import GlContext
 from gibson_sim.render.gl_scene import GlScene
+from gibson_sim.render.grouping import Group, Grouping, Remembered
 from gibson_sim.render.planning import Picture
 from gibson_sim.render.readback import Shot
 from gibson_sim.render.resample import Resampler
@@ -20,6 +21,8 @@ from gibson_sim.render.tiles import arrange
 from gibson_sim.render.views import View, is_plain, views_of
 from gibson_sim.types import CameraSpec, Pose
 
+_intrinsics = Remembered(CameraSpec.intrinsics)
+_is_plain = Remembered(is_plain)
 _MAX_TARGETS = 12
 _MAX_RESAMPLERS = 32
 
@@ -31,8 +34,9 @@ class Drawing:
         self._context, self._scene, self._gl = context, scene, GL.Gl(context)
         self._targets: dict[tuple[int, int, tuple[Feature, ...], int, str], Target] = {}
         self._resamplers: dict[tuple[CameraSpec, tuple[tuple[int, int], ...]], Resampler] = {}
-        self.largest = self._gl.integer(GL.MAX_TEXTURE_SIZE)
-        """Longest side of a target, pixels."""
+        self._largest = self._gl.integer(GL.MAX_TEXTURE_SIZE)
+        self.groups: Callable[[Sequence[CameraSpec]], tuple[Group, ...]] = Grouping(self._largest).of
+        """Which cameras are drawn into one target."""
 
     def target(self, width: int, height: int, features: tuple[Feature, ...], samples: int = 1, use: str = "") -> Target:
         """Returns a target, the same again for the same arguments; ``use`` tells apart those needed at the same time."""
@@ -53,10 +57,10 @@ class Drawing:
             shots: the images; all cameras ask for the same number of samples.
             before: T_world_camera of each at the state before.
         """
-        plain = [_picture(shot, pose) for shot, pose in zip(shots, before, strict=True) if is_plain(shot.camera)]
+        plain = [_picture(shot, pose) for shot, pose in zip(shots, before, strict=True) if _is_plain(shot.camera)]
         color = any("rgb" in shot.camera.outputs for shot in shots)
         samples = max((shot.camera.samples for shot in shots), default=1)
-        bent = [(shot, pose) for shot, pose in zip(shots, before, strict=True) if not is_plain(shot.camera)]
+        bent = [(shot, pose) for shot, pose in zip(shots, before, strict=True) if not _is_plain(shot.camera)]
         if color and samples > 1 and plain:
             # Labels and depth are those of the pixel's middle, to the bit, whatever is done for the edges of colours.
             self._scene.draw(target, plain, color=False)
@@ -72,13 +76,13 @@ class Drawing:
         """Draws the views of bent cameras side by side, all at once if they fit, and puts the images together from them."""
         views = [views_of(shot.camera) for shot, _ in shots]
         sizes = [(view.width, view.height) for group in views for view in group]
-        arranged = arrange(sizes, self.largest)
+        arranged = arrange(sizes, self._largest)
         if len(arranged) > 1:
             if len(shots) == 1:
                 camera = shots[0][0].camera
                 raise RenderError(
                     f"camera {camera.name!r}: a {camera.projection} image of {camera.width}x{camera.height} is made from views that do not "
-                    f"fit into the {self.largest} pixels a side that can be drawn here; choose a smaller one"
+                    f"fit into the {self._largest} pixels a side that can be drawn here; choose a smaller one"
                 )
             for one in shots:
                 self._draw_bent(target, [one], color)
@@ -139,7 +143,7 @@ class Drawing:
 
 def _picture(shot: Shot, before: Mat4) -> Picture:
     camera = shot.camera
-    return Picture(shot.T_world_camera, camera.intrinsics(), camera.width, camera.height, camera.near, shot.x, shot.y, before)
+    return Picture(shot.T_world_camera, _intrinsics(camera), camera.width, camera.height, camera.near, shot.x, shot.y, before)
 
 
 def _view_picture(shot: Shot, view: View, before: Mat4, place: tuple[int, int]) -> Picture:

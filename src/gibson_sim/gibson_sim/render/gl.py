@@ -60,6 +60,8 @@ _PROTOTYPES: dict[str, tuple[Any, ...]] = {
     "glNamedFramebufferTexture": (None, _U, _U, _U, _I),
     "glPixelStorei": (None, _U, _I),
     "glPolygonOffset": (None, _F, _F),
+    "glProgramUniform1i": (None, _U, _I, _I),
+    "glProgramUniform4fv": (None, _U, _I, _I, _P),
     "glReadBuffer": (None, _U),
     "glReadPixels": (None, _I, _I, _I, _I, _U, _U, _P),
     "glScissor": (None, _I, _I, _I, _I),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from gibson_sim.render.context import GlContext
 from gibson_sim.render.dressing import Dressing
 from gibson_sim.render.lighting import Lighting
 from gibson_sim.render.occluders import Occluders
-from gibson_sim.render.planning import VIEW, Picture, Plan, Planner, Run, draw_table
+from gibson_sim.render.planning import KINDS, VIEW, Picture, Plan, Planner, Run, draw_table
 from gibson_sim.render.programs import Programs
 from gibson_sim.render.scene_memory import SceneMemory
 from gibson_sim.render.shadows import SunShadow
@@ -79,8 +78,7 @@ class GlScene:
         self._glossy = False
         self.warnings: tuple[str, ...] = ()
         """What of the light was left out, one line each."""
-        self.drawn_triangles = 0
-        """Of the last call of ``draw``."""
+        self._drawn: list[U32] = []
         try:
             self._take(batches, 0, 0)
         except BaseException:
@@ -130,6 +128,11 @@ class GlScene:
         """What the textures of materials take."""
         return self._memory.texture_bytes
 
+    @property
+    def drawn_triangles(self) -> int:
+        """Of the last call of ``draw``."""
+        return sum(int(draws[:, 0].sum(dtype=np.int64)) for draws in self._drawn) // 3
+
     def _upload(self, buffer: int, data: NDArray[Any]) -> None:
         self._gl.glNamedBufferData(buffer, data.nbytes, data.ctypes.data, GL.STREAM_DRAW)
 
@@ -152,7 +155,7 @@ class GlScene:
         if color:
             self._update_shadow()
         self._prepare_state()
-        self.drawn_triangles = 0
+        self._drawn = []
         views = np.zeros(len(pictures), dtype=VIEW)
         plans = [self._planner.plan(picture, self._T_world_links, views[k]) for k, picture in enumerate(pictures)]
         if pictures:
@@ -232,23 +235,17 @@ class GlScene:
 
     def _fill_depth(self, plans: Sequence[Plan], chosen: Sequence[I64], table: U32) -> None:
         """Sends draws of chosen chunks of each picture that have no holes, by rows of ``table``."""
-        drawn: list[U32] = []
-        kinds = tuple(product((False, True), (False, True)))
-        for chunks in chosen:
-            chunks = chunks[table[chunks, 0] > 0]
-            batch = self._visibility.batch_of[chunks]
-            moves, closed = self._moving[batch], self._closed[batch]
-            drawn += [table[chunks[(moves == moving) & (closed == fronts)]] for moving, fronts in kinds]
-        self._send(drawn)
+        sent = [self._planner.by_kind(chunks, table) for chunks in chosen]
+        self._send([draws for draws, _ in sent])
         first = 0
-        for k, plan in enumerate(plans):
+        for k, (plan, (_, counts)) in enumerate(zip(plans, sent, strict=True)):
             self._look_at(plan.picture, k)
-            for (moving, closed), rows in zip(kinds, drawn[len(kinds) * k : len(kinds) * (k + 1)], strict=True):
-                if len(rows):
-                    self._gl.glUseProgram(self._programs.depth(moving=moving).glo)
+            for (moving, closed), count in zip(KINDS, counts, strict=True):
+                if count:
+                    self._gl.glUseProgram(self._programs.depth(moving=moving).number)
                     self._draw_both_sides(not (plan.fronts and closed))
-                    self._multi_draw(first, len(rows))
-                    first += len(rows)
+                    self._multi_draw(first, count)
+                    first += count
         self._draw_both_sides(True)
 
     def _read_depth(self, target: Target) -> NDArray[np.float32]:
@@ -277,13 +274,12 @@ class GlScene:
         """Sends the draws of each picture; after the last solid ones come the sky and what shines through."""
         if color:
             plans = self._gathered(plans)
-        drawn = [plan.draws if color else plan.draws[: plan.solid] for plan in plans]
-        self._send(drawn)
+        self._drawn = [plan.draws if color else plan.draws[: plan.solid] for plan in plans]
+        self._send(self._drawn)
         first = 0
-        for k, (plan, commands) in enumerate(zip(plans, drawn, strict=True)):
+        for k, (plan, commands) in enumerate(zip(plans, self._drawn, strict=True)):
             self._look_at(plan.picture, k)
             self._run_picture(plan, first, features, color)
-            self.drawn_triangles += int(commands[:, 0].sum(dtype=np.int64)) // 3
             first += len(commands)
 
     def _gathered(self, plans: Sequence[Plan]) -> list[Plan]:
@@ -328,12 +324,12 @@ class GlScene:
         """Makes the draws that follow those of a run."""
         batch = self._batches.batches[run.batch]
         program = self._programs.of(run.batch, features, color=color)
-        self._programs.set(program, batch, translucent=run.translucent)
+        self._programs.tell(program, batch.material, translucent=run.translucent)
         if batch.texture >= 0:
             self._gl.glBindTextureUnit(0, self._memory.textures[batch.texture])
         if batch.maps >= 0 and self._dressing is not None:
             self._dressing.bind_maps(batch.maps)
-        self._gl.glUseProgram(program.glo)
+        self._gl.glUseProgram(program.number)
 
     def _draw_sky(self, features: tuple[Feature, ...]) -> None:
         assert self._lighting is not None

@@ -6,10 +6,12 @@ very same depth the one that is drawn first is seen, and which one that is must 
 
 from __future__ import annotations
 
+from bisect import insort
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Protocol
+from itertools import product
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +19,9 @@ from numpy.typing import NDArray
 from gibson_sim.geometry.compiling import CAN_COMPILE, fixed
 from gibson_sim.geometry.projections import clip_from_optical, frustum_planes
 from gibson_sim.geometry.transforms import Mat4
-from gibson_sim.render import choosing
+from gibson_sim.render import choosing, hiding
 from gibson_sim.render.batches import Batches
-from gibson_sim.render.choosing import Detail, Shown
+from gibson_sim.render.choosing import Detail, Rules
 from gibson_sim.render.occlusion import DepthPyramid, Outlines, pixels_from_links
 from gibson_sim.render.pieces import Pieces
 from gibson_sim.render.solids import Insides
@@ -34,6 +36,8 @@ VIEW = np.dtype(
     [("clip", "<f4", (4, 4)), ("clip_before", "<f4", (4, 4)), ("optical", "<f4", (4, 4)), ("eye", "<f4", 4), ("size", "<f4", 4), ("pad", "<f4", 8)]
 )  # fmt: skip
 """``View`` of the shaders, matrices by columns, padded to the alignment of uniform buffers."""
+KINDS = tuple(product((False, True), (False, True)))
+"""Of draws that fill the depth: whether they move, and whether all of their triangles belong to closed solids."""
 _NEAR_PART = 0.25
 """Part of the triangles that count as the nearest ones."""
 
@@ -59,8 +63,7 @@ class Picture:
     """At the state before; for the flow."""
 
 
-@dataclass(frozen=True, slots=True)
-class Run:
+class Run(NamedTuple):
     """Draws that follow each other and share their settings."""
 
     batch: int
@@ -93,16 +96,16 @@ class Plan:
 
     def runs(self, *, translucent: bool = True) -> list[Run]:
         """Returns the draws by their settings; what shines through only if asked for."""
-        found: list[Run] = []
-        for first, end, through in ((0, self.solid, False), (self.solid, len(self.batch), True)):
-            if through and not translucent:
-                break
-            batch = self.batch[first:end]
-            if len(batch):
-                starts = [0, *(np.flatnonzero(batch[1:] != batch[:-1]) + 1).tolist()]
-                numbers = batch[starts].tolist()
-                found += [Run(k, e - s, through) for k, s, e in zip(numbers, starts, [*starts[1:], len(batch)], strict=True)]
-        return found
+        end = len(self.batch) if translucent else self.solid
+        if not end:
+            return []
+        batch = self.batch[:end]
+        starts = (np.flatnonzero(batch[1:] != batch[:-1]) + 1).tolist()
+        if 0 < self.solid < end and self.solid not in starts:
+            insort(starts, self.solid)
+        starts.insert(0, 0)
+        ends = [*starts[1:], end]
+        return [Run(k, e - s, s >= self.solid) for k, s, e in zip(batch[starts].tolist(), starts, ends, strict=True)]
 
     def only(self, keep: NDArray[np.bool_]) -> Plan:
         """Returns the plan of some of the draws, (N,), in the same order."""
@@ -182,10 +185,10 @@ class Planner:
         self._b, self._visibility, self._detail_px, self._cull, self._loops = batches, visibility, detail_px, cull, loops
         self._table, self._pieces = draw_table(batches, batches.chunk_first, batches.chunk_count), Pieces(batches)
         self._insides = Insides(batches.solid_box, batches.solid_link, loops=loops)
-        self._counts = fixed(batches.chunk_count)
-        kinds = [batch.kind for batch in batches.batches]
-        self._cut = np.array([kind != "opaque" for kind in kinds], dtype=bool)
-        self._has_solid, self._has_back = _what_shines_through(batches)
+        self._kinds = np.array([KINDS.index((batch.moving, batch.closed)) for batch in batches.batches], dtype=np.int64)
+        cut = np.array([batch.kind != "opaque" for batch in batches.batches], dtype=bool)
+        has_solid, has_back = _what_shines_through(batches)
+        self._rules = Rules(fixed(visibility.batch_of), fixed(cut), fixed(has_solid), fixed(has_back), fixed(self._table))
 
     @property
     def table(self) -> U32:
@@ -194,22 +197,31 @@ class Planner:
 
     def plan(self, picture: Picture, T_world_links: F64, view: NDArray[np.void]) -> Plan:
         """Chooses what to draw of one picture, and fills its ``view``."""
-        T_camera_links, eyes = link_frames(picture.T_world_camera, T_world_links)
+        T_camera_links, eyes = link_frames(picture.T_world_camera, T_world_links, loops=self._loops)
         # The flip: optical y points down and clip y points up, so row 0 of the image comes first in OpenGL's bottom-up memory.
         projection, planes, near_corners = _lens(picture.intrinsics.tobytes(), picture.width, picture.height, picture.near)
         before = picture.T_world_camera if picture.T_world_camera_before is None else picture.T_world_camera_before
         view["clip"] = (projection @ T_camera_links[0]).T
         still = before is picture.T_world_camera
-        view["clip_before"] = view["clip"] if still else (projection @ link_frames(before, T_world_links[:1])[0][0]).T
+        view["clip_before"] = (
+            view["clip"] if still else (projection @ link_frames(before, T_world_links[:1], loops=self._loops)[0][0]).T
+        )
         view["optical"][:3, :3] = picture.T_world_camera[:3, :3]  # transposed once to turn, once to be by columns
         view["eye"][:3] = eyes[0]
         view["size"][:3] = picture.width, picture.height, picture.near
         focal = float(max(abs(picture.intrinsics[0, 0]), abs(picture.intrinsics[1, 1])))
         detail = Detail(focal, self._detail_px, picture.near)
         planes = planes if self._cull else planes[:0]
-        chunks = self._visibility.nearest_first(eyes, detail, planes, T_camera_links, loops=self._loops)
-        fronts = not self._insides.may_hold(eyes, T_camera_links, near_corners)
-        return self._ordered(picture, T_camera_links, chunks, fronts=fronts)
+        if not self._loops:
+            chunks = self._visibility.nearest_first(eyes, detail, planes, T_camera_links)
+            return self._ordered(
+                picture, T_camera_links, chunks, fronts=not self._insides.may_hold(eyes, T_camera_links, near_corners)
+            )
+        v = self._visibility
+        found = choosing.planned(
+            eyes, T_camera_links, planes, near_corners, detail, v.groups, v.chunks, v.link_box, self._insides.solids, self._rules, _NEAR_PART
+        )  # fmt: skip
+        return Plan(picture, T_camera_links, *found)
 
     def solid(self, chunks: I64) -> Plan:
         """Returns a plan that draws what is solid of these chunks, for a picture of no camera."""
@@ -219,28 +231,32 @@ class Planner:
     def _ordered(self, picture: Picture, T_camera_links: F64, chunks: I64, *, fronts: bool) -> Plan:
         """Returns the plan for chunks that come the nearest first."""
         batch = self._visibility.batch_of
-        if self._loops:
-            every, solid, near, total = choosing.drawing_order(
-                chunks, batch, self._cut, self._has_solid, self._has_back, self._counts, _NEAR_PART
-            )
-        else:
-            every, solid, near, total = self._order(chunks, batch[chunks])
+        every, solid, near, total = self._order(chunks, batch[chunks])
         drawn = chunks[every]
         return Plan(picture, T_camera_links, drawn, self._table[drawn], batch[drawn], solid, near, total, fronts)
 
     def _order(self, chunks: I64, batch: I64) -> tuple[I64, int, I64, int]:
         """The same as ``choosing.drawing_order``, of chunks and the batch of each."""
         # The order of batches is that of their first chunk, but what has holes comes after what has none.
-        rank = np.zeros(len(self._cut), dtype=np.int64)
+        rank = np.zeros(len(self._rules.cut), dtype=np.int64)
         rank[batch[::-1]] = np.arange(len(chunks) - 1, -1, -1)  # of several numbers the last one stays: that of the first chunk
-        rank += len(chunks) * self._cut
+        rank += len(chunks) * self._rules.cut
         order = np.argsort(rank[batch], kind="stable")
-        order = order[self._has_solid[chunks[order]]]
-        back = np.flatnonzero(self._has_back[chunks])[::-1]
+        order = order[self._rules.has_solid[chunks[order]]]
+        back = np.flatnonzero(self._rules.has_back[chunks])[::-1]
         triangles = np.cumsum(self._b.chunk_count[chunks], dtype=np.int64) // 3
         total = int(triangles[-1]) if len(chunks) else 0
         split = int(np.searchsorted(triangles, total * _NEAR_PART))
-        return np.concatenate([order, back]), len(order), chunks[:split][~self._cut[batch[:split]]], total
+        return np.concatenate([order, back]), len(order), chunks[:split][~self._rules.cut[batch[:split]]], total
+
+    def by_kind(self, chunks: I64, table: U32) -> tuple[U32, list[int]]:
+        """Returns the draws of chunks, (N,), by rows of ``table``, (C, 5), those of a kind together; and how many each of ``KINDS`` has."""
+        if self._loops:
+            draws, count = choosing.by_kind(chunks, fixed(table), self._rules.batch_of, self._kinds, len(KINDS))
+            return draws, count.tolist()
+        chunks = chunks[table[chunks, 0] > 0]
+        kind = self._kinds[self._rules.batch_of[chunks]]
+        return table[chunks[np.argsort(kind, kind="stable")]], np.bincount(kind, minlength=len(KINDS)).tolist()
 
     def looks(self, plans: Sequence[Plan]) -> list[Look]:
         """Returns, of each plan, what finds out which parts of it are hidden; it does what can be done before there is a depth image."""
@@ -289,17 +305,10 @@ class CompiledLook:
     def unhidden(self, depth: F32) -> Plan:
         """As ``Look`` says."""
         plan, p = self._plan, self._plan.picture
-        chunks, batch, draws, solid = choosing.without_hidden(
-            plan.chunks,
-            plan.batch,
-            plan.draws,
-            plan.solid,
-            self._pieces.table,
-            self._chunk_link,
-            pixels_from_links(plan.T_camera_links, p.intrinsics),
-            Shown(float(p.width), float(p.height), float(p.near)),
-            choosing.depth_pyramid(fixed(depth)),
-        )
+        chunks, batch, draws, solid = hiding.without_hidden(
+            fixed(depth), plan.chunks, plan.batch, plan.draws, plan.solid, self._pieces.table, self._chunk_link,
+            plan.T_camera_links, fixed(p.intrinsics), float(p.near),
+        )  # fmt: skip
         return replace(plan, chunks=chunks, draws=draws, batch=batch, solid=solid)
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import moderngl
 import numpy as np
 
-from gibson_sim.render.batches import Batch, Batches
+from gibson_sim.render import gl as GL
+from gibson_sim.render.batches import MATERIAL, Batch, Batches
 from gibson_sim.render.context import GlContext
 from gibson_sim.render.screen_pass import shader_text
 from gibson_sim.render.target import Feature
@@ -14,16 +17,32 @@ _UNIFORMS = (("u_color", "color"), ("u_surface", "surface"), ("u_glow", "glow"),
 """Of a program whose triangles all have one material: name, and field of ``MATERIAL``."""
 
 
+@dataclass(slots=True, eq=False)
+class Program:
+    """A program, and where it takes what differs from batch to batch."""
+
+    made: moderngl.Program
+    number: int
+    """OpenGL's."""
+    translucent: int
+    """Location of ``u_translucent``; -1 = it has none."""
+    material: tuple[tuple[int, int], ...]
+    """Location, and offset in ``MATERIAL``, bytes, of each part of a material that it takes."""
+    told: tuple[int, bool] | None = None
+    """What it was told last: row of the material, -1 = none, and whether it draws what shines through."""
+
+
 class Programs:
     """Programs of one context; it must be current in every call."""
 
     def __init__(self, context: GlContext) -> None:
-        self._context = context
-        self._made: dict[tuple[str, ...], moderngl.Program] = {}
-        self._of_batch: dict[tuple[int, tuple[Feature, ...], bool], moderngl.Program] = {}
+        self._context, self._gl = context, GL.Gl(context)
+        self._made: dict[tuple[str, ...], Program] = {}
+        self._of_batch: dict[tuple[int, tuple[Feature, ...], bool], Program] = {}
         self._batches: Batches | None = None
         self._light: tuple[str, ...] = ()
-        self._settings: dict[int, tuple[int, bool]] = {}
+        self._materials = np.zeros(0, dtype=MATERIAL)
+        self._rows = 0  # where they lie in memory
 
     def take(self, batches: Batches, light: tuple[str, ...]) -> None:
         """Makes the programs that pictures of these batches need, so that the first image does not wait for the compiler.
@@ -33,12 +52,16 @@ class Programs:
             light: what ``Lighting.defines`` says.
         """
         self._batches, self._light = batches, light
-        self._of_batch, self._settings = {}, {}
+        self._materials = np.ascontiguousarray(batches.materials)
+        self._rows = self._materials.ctypes.data
+        self._of_batch = {}
+        for program in self._made.values():
+            program.told = None
         for number, batch in enumerate(batches.batches):
             self.of(number, ())
             self.depth(moving=batch.moving)
 
-    def of(self, number: int, features: tuple[Feature, ...], *, color: bool = True) -> moderngl.Program:
+    def of(self, number: int, features: tuple[Feature, ...], *, color: bool = True) -> Program:
         """Returns the program for a batch; without colour it fills depth and features only."""
         key = (number, features, color)
         if key not in self._of_batch:
@@ -46,11 +69,11 @@ class Programs:
             self._of_batch[key] = self._find(self._batches.batches[number], features, color)
         return self._of_batch[key]
 
-    def depth(self, *, moving: bool) -> moderngl.Program:
+    def depth(self, *, moving: bool) -> Program:
         """Returns the program that fills the depth with what has no holes."""
         return self._program(("MOVING",) if moving else (), "depth.frag", ())
 
-    def _find(self, batch: Batch, features: tuple[Feature, ...], color: bool) -> moderngl.Program:
+    def _find(self, batch: Batch, features: tuple[Feature, ...], color: bool) -> Program:
         cut = batch.kind != "opaque"
         if not (color or features or cut):
             return self.depth(moving=batch.moving)
@@ -67,35 +90,47 @@ class Programs:
         before = ("view.glsl", *(("lighting.glsl",) if lights else ()), *(("looks.glsl",) if flags["LOOKED"] else ()))
         return self._program((*(name for name, on in flags.items() if on), *lit, *features), "scene.frag", before)
 
-    def _program(self, defines: tuple[str, ...], fragment: str, before: tuple[str, ...]) -> moderngl.Program:
+    def _program(self, defines: tuple[str, ...], fragment: str, before: tuple[str, ...]) -> Program:
         key = (fragment, *defines)
         if key not in self._made:
-            program = self._context.gl.program(
+            made = self._context.gl.program(
                 vertex_shader=shader_text("scene.vert", defines, ("view.glsl",)),
                 fragment_shader=shader_text(fragment, defines, before),
             )
-            if "u_texture" in program:
-                program["u_texture"] = 0
-            self._made[key] = program
+            if "u_texture" in made:
+                made["u_texture"] = 0
+            parts = tuple((_location(made, name), MATERIAL.fields[part][1]) for name, part in _UNIFORMS)  # type: ignore[index]
+            taken = tuple((location, offset) for location, offset in parts if location >= 0)
+            self._made[key] = Program(made, made.glo, _location(made, "u_translucent"), taken)
         return self._made[key]
 
-    def set(self, program: moderngl.Program, batch: Batch, *, translucent: bool) -> None:
-        """Tells a program what it must know of a batch, unless it was the last thing that it was told."""
-        settings = batch.material, translucent
-        if self._settings.get(program.glo) == settings:
+    def tell(self, program: Program, material: int, *, translucent: bool) -> None:
+        """Tells a program what it must know of a batch, unless it was the last thing that it was told.
+
+        Args:
+            program: of the batch.
+            material: of all its triangles, its row in ``Batches.materials``; -1 = they have several.
+            translucent: whether what shines through is drawn, instead of what is solid.
+        """
+        told = material, translucent
+        if program.told == told:
             return
-        self._settings[program.glo] = settings
-        if "u_translucent" in program:
-            program["u_translucent"] = translucent
-        if batch.material >= 0:
-            assert self._batches is not None
-            row = self._batches.materials[batch.material]
-            for name, column in _UNIFORMS:
-                if name in program:
-                    program[name].write(np.ascontiguousarray(row[column]))  # type: ignore[union-attr]
+        program.told = told
+        if program.translucent >= 0:
+            self._gl.glProgramUniform1i(program.number, program.translucent, translucent)
+        if material >= 0:
+            row = self._rows + material * MATERIAL.itemsize
+            for location, offset in program.material:
+                self._gl.glProgramUniform4fv(program.number, location, 1, row + offset)
 
     def close(self) -> None:
         """Frees them; a second call does nothing."""
         programs, self._made, self._of_batch = self._made, {}, {}
         for program in programs.values():
-            program.release()
+            program.made.release()
+
+
+def _location(program: moderngl.Program, name: str) -> int:
+    """Returns where a program takes a number; -1 = it does not."""
+    member = program.get(name, None)
+    return member.location if isinstance(member, moderngl.Uniform) else -1

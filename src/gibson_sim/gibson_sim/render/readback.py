@@ -15,7 +15,8 @@ from gibson_sim.geometry import projections
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.render import gl as GL
 from gibson_sim.render.context import GlContext
-from gibson_sim.render.target import ATTACHMENT, Target
+from gibson_sim.render.grouping import Remembered
+from gibson_sim.render.target import ATTACHMENT, Target, features_of
 from gibson_sim.render.unpacking import depth_of, normals_of, positions_of, turned
 from gibson_sim.types import CameraSpec, Frame, Output
 
@@ -48,7 +49,7 @@ class Readback:
 
     def __init__(self, context: GlContext) -> None:
         self._gl = GL.Gl(context)
-        self._memory: dict[tuple[str, int, int], NDArray[Any]] = {}
+        self._memory: dict[tuple[str, int, int], tuple[NDArray[Any], int]] = {}  # and where it begins
 
     def frames(self, target: Target, shots: Sequence[Shot]) -> list[Frame]:
         """Returns the frames of images that a target holds; the arrays belong to the caller."""
@@ -63,26 +64,30 @@ class Readback:
             if len(self._memory) > 64:
                 self._memory.clear()
             shape = (target.height, target.width) if numbers == 1 else (target.height, target.width, numbers)
-            self._memory[key] = np.empty(shape, dtype=dtype)
-        out = self._memory[key]
+            made = np.empty(shape, dtype=dtype)
+            self._memory[key] = made, made.ctypes.data
+        out, begin = self._memory[key]
         gl = self._gl
         gl.glBindFramebuffer(GL.FRAMEBUFFER, target.framebuffer)
         gl.glReadBuffer(GL.COLOR_ATTACHMENT0 + ATTACHMENT.get(name, 0))
         gl.glPixelStorei(GL.PACK_ALIGNMENT, 1)
-        gl.glReadPixels(0, 0, target.width, target.height, form, kind, out.ctypes.data)
+        gl.glReadPixels(0, 0, target.width, target.height, form, kind, begin)
         return out
 
 
 def needed(target: Target, shots: Sequence[Shot]) -> list[str]:
     """Returns which textures of a target the frames of its images are made from."""
-    outputs = {output for shot in shots for output in shot.camera.outputs}
-    return [name for name in ("color", "depth", *target.features) if _needed(name, outputs)]
+    asked = [_made_from(shot.camera.outputs) for shot in shots]
+    return [name for name in ("color", "depth", *target.features) if any(name in names for names in asked)]
 
 
-def _needed(name: str, outputs: set[Output]) -> bool:
-    if name == "color":
-        return "rgb" in outputs
-    return name != "depth" or bool({"depth", "position"} & outputs)
+def _textures(outputs: tuple[Output, ...]) -> frozenset[str]:
+    """Returns which textures outputs are made from; a target has those of features that are asked for, and no others."""
+    color, depth = "rgb" in outputs, bool({"depth", "position"} & set(outputs))
+    return frozenset([*(["color"] if color else []), *(["depth"] if depth else []), *features_of(outputs)])
+
+
+_made_from = Remembered(_textures)
 
 
 def frame_from_raw(shot: Shot, raw: dict[str, NDArray[Any]]) -> Frame:
@@ -97,8 +102,9 @@ def frame_from_raw(shot: Shot, raw: dict[str, NDArray[Any]]) -> Frame:
     outputs = camera.outputs
     part = {name: a[shot.y : shot.y + camera.height, shot.x : shot.x + camera.width] for name, a in raw.items()}
     R = shot.T_world_camera[:3, :3].astype(np.float32)
-    depth = depth_of(part["depth"], camera.near, camera.far) if {"depth", "position"} & set(outputs) else None
-    normal = normals_of(part["NORMALS"]) if {"normal", "normal_world"} & set(outputs) else None
+    made_from = _made_from(outputs)
+    depth = depth_of(part["depth"], camera.near, camera.far) if "depth" in made_from else None
+    normal = normals_of(part["NORMALS"]) if "NORMALS" in made_from else None
     position = None
     if "position" in outputs:
         assert depth is not None

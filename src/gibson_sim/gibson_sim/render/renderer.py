@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from gibson_sim.config import DETAIL_PX
 from gibson_sim.errors import ConfigError, RenderError, SceneMismatchError
 from gibson_sim.geometry.exposures import Exposure, exposures
-from gibson_sim.geometry.transforms import Mat4, matrices_from_poses, matrix_from_pose
+from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
 from gibson_sim.render.batches import Batches, Loader, Progress
 from gibson_sim.render.building import build_batches
 from gibson_sim.render.cache import SceneCache
@@ -25,11 +24,12 @@ from gibson_sim.render.drawing import Drawing
 from gibson_sim.render.effects import EffectsPass, changes_colors
 from gibson_sim.render.exposing import Exposing
 from gibson_sim.render.gl_scene import GlScene
+from gibson_sim.render.grouping import Remembered
 from gibson_sim.render.pixel_buffers import Pending, PixelBuffers
 from gibson_sim.render.readback import Readback, Shot, needed
-from gibson_sim.render.target import Feature, Target, features_of
+from gibson_sim.render.target import Target
 from gibson_sim.render.tensors import TensorFrame, Tensors
-from gibson_sim.render.tiles import arrange
+from gibson_sim.render.visibility import world_from_links
 from gibson_sim.scenes.mesh import MeshLoader
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.types import CameraSpec, Frame, Pose, SceneState
@@ -241,16 +241,18 @@ class Renderer:
         poses = [self._camera_matrix(camera, T_world_links) for camera in cameras]
         plans = [exposures(camera, previous, state) for camera in cameras]
         self._context.make_current()
-        for features, numbers in _alike(cameras):
-            for inside, tiles in arrange([(cameras[k].width, cameras[k].height) for k in numbers], self._drawing.largest):
-                target = self._drawing.target(tiles.width, tiles.height, features)
-                own = [numbers[i] for i in inside]
-                shots = [Shot(cameras[k], state.stamp_ns, poses[k], x, y) for k, (x, y) in zip(own, tiles.places, strict=True)]
-                at_once = [shot for k, shot in zip(own, shots, strict=True) if len(plans[k]) == 1 and plans[k][0].state is state]
-                self._draw(target, at_once, T_world_links, before)
-                for k, shot in zip(own, shots, strict=True):
-                    self._develop(target, shot, plans[k] if shot not in at_once else (), before)
-                yield target, shots, own
+        for group in self._drawing.groups(cameras):
+            target = self._drawing.target(group.width, group.height, group.features)
+            shots = [
+                Shot(cameras[k], state.stamp_ns, poses[k], x, y) for k, (x, y) in zip(group.numbers, group.places, strict=True)
+            ]
+            at_once = [
+                shot for k, shot in zip(group.numbers, shots, strict=True) if len(plans[k]) == 1 and plans[k][0].state is state
+            ]
+            self._draw(target, at_once, T_world_links, before)
+            for k, shot in zip(group.numbers, shots, strict=True):
+                self._develop(target, shot, plans[k] if shot not in at_once else (), before)
+            yield target, shots, list(group.numbers)
 
     def _check_usable(self) -> None:
         if self._drawing is None or self._context is None:
@@ -300,7 +302,7 @@ class Renderer:
             raise SceneMismatchError(
                 f"the state has {len(state.links)} links, others than the {len(self._links)} of the scene that is loaded; load its scene"
             )
-        return np.concatenate([np.eye(4)[None], matrices_from_poses(state.positions, state.quats_xyzw)])
+        return world_from_links(state.positions, state.quats_xyzw)
 
     def camera_matrix(self, state: SceneState, camera: CameraSpec) -> Mat4:
         """Returns T_world_camera, (4, 4), optical frame, at a state; for errors see ``render``."""
@@ -337,23 +339,8 @@ class Renderer:
         self.close()
 
 
-def _alike(cameras: Sequence[CameraSpec]) -> list[tuple[tuple[Feature, ...], list[int]]]:
-    """Returns the numbers of the cameras by what is drawn for them: features, colours or none, samples.
-
-    Those on bodies and those on none (views) stand apart: what a robot sees is the same, to the bit, with and without views beside it.
-    """
-    groups: dict[tuple[tuple[Feature, ...], bool, int, bool], list[int]] = {}
-    for k, camera in enumerate(cameras):
-        color = "rgb" in camera.outputs
-        key = features_of(camera.outputs), color, camera.samples if color else 1, "/" in camera.link
-        groups.setdefault(key, []).append(k)
-    return [(features, numbers) for (features, *_), numbers in groups.items()]
-
-
-@lru_cache(maxsize=256)
-def _mount(pose: Pose) -> Mat4:
-    """Returns T_link_camera, (4, 4); not to be written to."""
-    return matrix_from_pose(pose)
+_mount: Remembered[Pose, Mat4] = Remembered(matrix_from_pose)
+"""T_link_camera, (4, 4), of the pose of a camera."""
 
 
 def _loaded(

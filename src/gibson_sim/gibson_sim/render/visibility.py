@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.geometry.compiling import fixed
-from gibson_sim.geometry.transforms import Mat4
+from gibson_sim.geometry.compiling import CAN_COMPILE, fixed
+from gibson_sim.geometry.transforms import Mat4, matrices_from_poses
 from gibson_sim.render import choosing
 from gibson_sim.render.batches import Batches
 from gibson_sim.render.choosing import Chunks, Detail, Groups
@@ -32,9 +32,11 @@ class Visibility:
         self._finest = np.flatnonzero(batches.chunk_group < 0)
         self._group_moves = bool((batches.group_link > 0).any())
         self._chunk_moves = bool((batches.chunk_link > 0).any())
-        self._link_box = _link_boxes(batches.chunk_link, batches.chunk_box)
+        self.link_box = fixed(_link_boxes(batches.chunk_link, batches.chunk_box))
+        """(L', 6), box about what each link has, the world first; L' may be less than the links are."""
         b = batches
-        self._groups = Groups(fixed(b.group_error), fixed(b.group_box), fixed(b.group_link))
+        self.groups = Groups(fixed(b.group_error), fixed(b.group_box), fixed(b.group_link))
+        """All groups, as loops take them."""
         self.chunks = Chunks(fixed(b.chunk_group), fixed(b.chunk_next_group), fixed(b.chunk_box), fixed(b.chunk_link))
         """All chunks, as loops take them."""
 
@@ -76,7 +78,7 @@ class Visibility:
             half = np.einsum("cij,cj->ci", np.abs(T[:, :3, :3]), half)
         return np.stack([(centre - half).min(axis=0), (centre + half).max(axis=0)])
 
-    def nearest_first(self, eyes: F64, detail: Detail, planes: F64, T_camera_links: F64, *, loops: bool) -> I64:
+    def nearest_first(self, eyes: F64, detail: Detail, planes: F64, T_camera_links: F64) -> I64:
         """Returns the chunks that stand for all triangles inside the image, the nearest first.
 
         Args:
@@ -84,14 +86,9 @@ class Visibility:
             detail: how coarse they may be.
             planes: (P, 4), optical frame: a point x is inside where ``planes @ (x, 1) >= 0`` for all.
             T_camera_links: (L + 1, 4, 4): optical frame from the world, then from each link.
-            loops: by compiled loops instead of NumPy.
         """
-        of_links = planes @ T_camera_links[: len(self._link_box)]
-        if loops:
-            chunks, distances = choosing.chosen(eyes, self._groups, self.chunks, self._link_box, of_links, detail)
-            return chunks[np.argsort(distances, kind="stable")]
         chunks = self.choose(eyes, detail)
-        chunks = chunks[self._inside(chunks, of_links)]
+        chunks = chunks[self._inside(chunks, planes_of_links(planes, T_camera_links[: len(self.link_box)]))]
         eye = eyes[self._b.chunk_link[chunks]] if self._chunk_moves else eyes[0]
         return chunks[np.argsort(_distances(eye, self._b.chunk_box[chunks]), kind="stable")]
 
@@ -101,7 +98,7 @@ class Visibility:
         if not self._chunk_moves:
             return _before(planes[0], box)
         # Few links are in the image: what belongs to the others need not be looked at.
-        near = _before(planes, self._link_box)[link]
+        near = _before(planes, self.link_box)[link]
         still, moving = np.flatnonzero(link == 0), np.flatnonzero(near & (link > 0))
         inside = np.zeros(len(chunks), dtype=bool)
         inside[still] = _before(planes[0], box[still])
@@ -134,12 +131,43 @@ def _before(planes: F64, boxes: F64) -> NDArray[np.bool_]:
     return np.asarray((reach >= 0.0).all(axis=1))
 
 
-def link_frames(T_world_camera: Mat4, T_world_links: F64) -> tuple[F64, F64]:
-    """Returns T_camera_links, (L, 4, 4), and the eye in each link, (L, 3)."""
-    R, t = T_world_camera[:3, :3], T_world_camera[:3, 3]
-    T_camera_links = np.zeros_like(T_world_links)
-    T_camera_links[:, :3] = R.T @ T_world_links[:, :3]
-    T_camera_links[:, :3, 3] -= R.T @ t
+def world_from_links(positions: F64, quats_xyzw: F64, *, loops: bool = CAN_COMPILE) -> F64:
+    """Returns T_world_links, (L + 1, 4, 4): the identity for the world itself, then every link.
+
+    Args:
+        positions: (L, 3), of links, metres.
+        quats_xyzw: (L, 4), unit.
+        loops: by compiled loops.
+    """
+    if loops:
+        return choosing.world_from_links(fixed(positions), fixed(quats_xyzw))
+    return np.concatenate([np.eye(4)[None], matrices_from_poses(positions, quats_xyzw)])
+
+
+def link_frames(T_world_camera: Mat4, T_world_links: F64, *, loops: bool = CAN_COMPILE) -> tuple[F64, F64]:
+    """Returns T_camera_links, (L, 4, 4), and the eye in each link, (L, 3).
+
+    Args:
+        T_world_camera: (4, 4).
+        T_world_links: (L, 4, 4).
+        loops: by compiled loops.
+    """
+    if loops:
+        return choosing.link_frames(fixed(T_world_camera), fixed(T_world_links))
+    (a, b, c), t = T_world_camera[:3, :3], T_world_camera[:3, 3]
+    W = T_world_links
+    T_camera_links = np.zeros_like(W)
+    T_camera_links[:, :3] = a[:, None] * W[:, 0, None] + b[:, None] * W[:, 1, None] + c[:, None] * W[:, 2, None]
+    T_camera_links[:, :3, 3] -= a * t[0] + b * t[1] + c * t[2]
     T_camera_links[:, 3, 3] = 1.0
-    eyes = np.einsum("lji,lj->li", T_world_links[:, :3, :3], t - T_world_links[:, :3, 3])
+    x, y, z = (t[k] - W[:, k, 3, None] for k in range(3))
+    eyes = W[:, 0, :3] * x + W[:, 1, :3] * y + W[:, 2, :3] * z
     return T_camera_links, eyes
+
+
+def planes_of_links(planes: F64, T_camera_links: F64) -> F64:
+    """Returns planes, (P, 4), optical frame, as each link sees them, (L, P, 4)."""
+    a, b, c, d = (planes[:, k, None] for k in range(4))
+    x, y, z, w = (T_camera_links[:, None, k] for k in range(4))
+    found: F64 = a * x + b * y + c * z + d * w
+    return found
