@@ -93,7 +93,7 @@ def test_frame_becomes_images_whose_bytes_stamp_and_frame_are_its_own() -> None:
     camera = CameraSpec("cam", "robot/eye", width=3, height=2)
     rgb = np.arange(18, dtype=np.uint8).reshape(2, 3, 3)
     depth = np.array([[1.5, 2.5, np.inf], [0.25, 4.0, 5.0]], dtype=np.float32)
-    msgs = c.frame_to_image_msgs(Frame(camera, 1_500_000_000, np.eye(4), rgb, depth))
+    msgs = dict(c.frame_to_image_msgs(Frame(camera, 1_500_000_000, np.eye(4), rgb, depth)))
     assert set(msgs) == {"rgb", "depth", "rgb_info", "depth_info"}
     for msg in msgs.values():
         assert (msg.header.stamp.sec, msg.header.stamp.nanosec, msg.header.frame_id) == (1, 500_000_000, "cam_optical_frame")
@@ -108,7 +108,9 @@ def test_labels_and_normals_become_images_that_read_back_the_same() -> None:
     camera = CameraSpec("cam", "robot/eye", width=3, height=2, outputs=("semantic", "instance", "normal"))
     labels = np.array([[0, 1, 65535], [2, 3, 4]], dtype=np.uint16)
     normals = np.linspace(-1.0, 1.0, 18, dtype=np.float32).reshape(2, 3, 3)
-    msgs = c.frame_to_image_msgs(Frame(camera, 1, np.eye(4), semantic=labels, instance=labels + np.uint16(0), normal=normals))
+    msgs = dict(
+        c.frame_to_image_msgs(Frame(camera, 1, np.eye(4), semantic=labels, instance=labels + np.uint16(0), normal=normals))
+    )
     assert set(msgs) == {"semantic", "instance", "normal", "semantic_info", "instance_info", "normal_info"}
     assert (msgs["semantic"].encoding, msgs["semantic"].step) == ("16UC1", 6)
     assert (msgs["normal"].encoding, msgs["normal"].step) == ("32FC3", 36)
@@ -194,7 +196,7 @@ def test_position_and_flow_become_images_that_read_back_the_same() -> None:
     camera = CameraSpec("cam", "robot/eye", width=3, height=2, outputs=("normal_world", "position", "flow"))
     triples = np.linspace(-1.0, 1.0, 18, dtype=np.float32).reshape(2, 3, 3)
     pairs = np.linspace(-5.0, 5.0, 12, dtype=np.float32).reshape(2, 3, 2)
-    msgs = c.frame_to_image_msgs(Frame(camera, 1, np.eye(4), normal_world=triples, position=triples * 2, flow=pairs))
+    msgs = dict(c.frame_to_image_msgs(Frame(camera, 1, np.eye(4), normal_world=triples, position=triples * 2, flow=pairs)))
     assert {name: msg.encoding for name, msg in msgs.items() if not name.endswith("_info")} == {
         "normal_world": "32FC3", "position": "32FC3", "flow": "32FC2",
     }  # fmt: skip

@@ -120,7 +120,7 @@ class CameraMessages:
         """
         frame = apply_depth_noise(frame, self.camera.depth_noise)
         config, stamp, frame_id = self._config, frame.stamp_ns, self.camera.optical_frame
-        yield from conversions.frame_to_image_msgs(frame, wanted & set(self.camera.outputs), image).items()
+        yield from conversions.frame_to_image_msgs(frame, wanted & set(self.camera.outputs), image)
         if COMPRESSED in wanted and frame.rgb is not None:
             codec: ColorCodec = "png" if config.compressed_format == "png" else "jpeg"
             data = encode_color(frame.rgb, codec, jpeg_quality=config.jpeg_quality, png_level=config.png_level)

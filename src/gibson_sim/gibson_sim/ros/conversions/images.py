@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
@@ -80,8 +80,10 @@ def image_to_msg(pixels: NDArray[Any], encoding: str, stamp_ns: int, frame_id: s
 
 def frame_to_image_msgs(
     frame: Frame, wanted: Collection[str] | None = None, make_image: Callable[..., Any] = image_to_msg
-) -> dict[str, Any]:
-    """Returns the messages of a frame by what they carry (see ``names.camera_topics``), all with the frame's stamp.
+) -> Iterator[tuple[str, Any]]:
+    """Yields the messages of a frame, each after what it carries (see ``names.camera_topics``), all with the frame's stamp.
+
+    Each is made when it is asked for: one that was sent and dropped leaves its memory, which the caches still hold, to the next one.
 
     Args:
         frame: its images.
@@ -89,16 +91,14 @@ def frame_to_image_msgs(
         make_image: makes a sensor_msgs/Image: ``image_to_msg``, or ``fast_images.image_to_bytes``.
     """
     camera, stamp = frame.camera, frame.stamp_ns
-    msgs: dict[str, Any] = {}
     for output, encoding in ENCODINGS.items():
         pixels = getattr(frame, output)
         if pixels is None:
             continue
         if wanted is None or output in wanted:
-            msgs[output] = make_image(pixels, encoding, stamp, camera.optical_frame)
+            yield output, make_image(pixels, encoding, stamp, camera.optical_frame)
         if wanted is None or f"{output}_info" in wanted:
-            msgs[f"{output}_info"] = camera_info_to_msg(camera, stamp)
-    return msgs
+            yield f"{output}_info", camera_info_to_msg(camera, stamp)
 
 
 def compressed_to_msg(data: bytes, image_format: str, stamp_ns: int, frame_id: str) -> CompressedImage:
