@@ -47,6 +47,7 @@ class CameraMessages:
         self._config = config
         self._labels: dict[Output, tuple[str, ...]] = {}
         self._infos: dict[str, bytes] = {}
+        self._drawn: dict[frozenset[str], CameraSpec | None] = {}
         self._registration: tuple[bytes, DepthRegistration] | None = None
         if target is not None:
             split_for(camera, target)  # now, not at each image
@@ -74,7 +75,15 @@ class CameraMessages:
                 yield output, conversions.label_info_type(), names.label_info_topic(self.camera.name, output)
 
     def to_draw(self, wanted: frozenset[str]) -> CameraSpec | None:
-        """Returns the camera with the outputs that these messages are made of; None where none of them needs a picture."""
+        """Returns the camera with the outputs that these messages are made of; None where none of them needs a picture.
+
+        It is the same object for the same messages: renderers work out once what they need of a camera.
+        """
+        if wanted not in self._drawn:
+            self._drawn[wanted] = self._with_outputs_of(wanted)
+        return self._drawn[wanted]
+
+    def _with_outputs_of(self, wanted: frozenset[str]) -> CameraSpec | None:
         needed: set[str] = {kind for kind in wanted if kind in self.camera.outputs}
         if COMPRESSED in wanted or POINTS in wanted:
             needed.add("rgb")

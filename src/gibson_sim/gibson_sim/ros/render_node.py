@@ -178,12 +178,15 @@ class RenderNode(Node):
         for i in due:
             if not wanted[i]:
                 self._stats.count_due(self._cameras[i].camera, 0, wanted=False)
+        drawn = None
         if newest is not None and _when(newest) != self._last_done:
-            self._draw(newest, {i: wanted[i] for i in newest.due_cameras if i in due})
+            drawn = self._draw(newest, {i: wanted[i] for i in newest.due_cameras if i in due})
         asked = next((state for state in reversed(ours) if state.due_cameras), None)
         if asked is not None and self._lockstep is not None:
             self._last_done = _when(asked)
             self._lockstep.done(asked.header.stamp)
+        if drawn is not None:  # nobody waits for this
+            self._stats.add(*drawn)
 
     def _note_foreign(self, states: Sequence[SceneState], ours: bool) -> None:
         """Keeps the newest state of a revision whose scene is still to come; warns where it does not come."""
@@ -202,8 +205,8 @@ class RenderNode(Node):
                 throttle_duration_sec=5.0,
             )
 
-    def _draw(self, msg: SceneState, wanted: dict[int, frozenset[str]]) -> None:
-        """Draws and publishes what is wanted of the cameras that are due."""
+    def _draw(self, msg: SceneState, wanted: dict[int, frozenset[str]]) -> tuple[int, int, int, list[Frame], list[str]] | None:
+        """Draws and publishes what is wanted of the cameras that are due; returns what ``RenderStats.add`` takes, None = no pictures."""
         assert self._scene is not None and self._taker is not None
         stamp_ns, started = conversions.time_from_msg(msg.header.stamp), time.monotonic_ns()
         specs = {i: spec for i, kinds in wanted.items() if (spec := self._cameras[i].to_draw(kinds)) is not None}
@@ -218,15 +221,14 @@ class RenderNode(Node):
                 messages = self._publish(dict(zip(specs, frames, strict=True)), wanted, state)
         except GibsonSimError as error:
             self.get_logger().warning(f"state at {stamp_ns} ns is not drawn: {error}", throttle_duration_sec=1.0)
-            return
+            return None
         for i, kinds in wanted.items():
             if kinds:
                 self._stats.count_due(self._cameras[i].camera, stamp_ns, wanted=True)
                 self._cameras[i].publish_info(stamp_ns, kinds)
         if self._digests is not None:
             self._digests.publish(stamp_ns, msg.epoch, msg.epoch_step)
-        if frames:
-            self._stats.add(started, drawn, time.monotonic_ns(), frames, messages)
+        return (started, drawn, time.monotonic_ns(), frames, messages) if frames else None
 
     def _publish(self, frames: dict[int, Frame], wanted: dict[int, frozenset[str]], state: State) -> list[str]:
         """Publishes images; returns the kinds of messages, each after the name of its camera."""
