@@ -17,8 +17,9 @@ from gibson_sim.cli.bench_lockstep import measure, report_text  # noqa: E402
 pytestmark = pytest.mark.ros
 
 
-def test_all_ways_make_ticks_without_and_with_images(ros_domain: int) -> None:
-    plan = LockstepPlan("arena", ticks=BLOCKS, image_ticks=BLOCKS, sizes=(Size(64, 48),))
+@pytest.mark.parametrize("substeps", [1, 24])
+def test_all_ways_make_ticks_without_and_with_images(substeps: int, ros_domain: int) -> None:
+    plan = LockstepPlan("arena", substeps, ticks=BLOCKS, image_ticks=BLOCKS, sizes=(Size(64, 48),))
     report = measure(plan, domain_id=ros_domain)
     assert report.left_out == ()
     without, with_images = report.cases
@@ -27,4 +28,4 @@ def test_all_ways_make_ticks_without_and_with_images(ros_domain: int) -> None:
     assert 0.0 < with_images.draw.median < with_images.without_ros.median
     for ticks in (with_images.one_process, with_images.lockstep, with_images.pipelined):
         assert ticks.median > 0.0
-    assert "split adds" in report_text(report)
+    assert f"physics steps a tick: {substeps};" in report_text(report)

@@ -21,6 +21,7 @@ def test_ticks_without_images_are_judged_by_their_rate_either_way() -> None:
     assert rate_of(case.lockstep) == pytest.approx(800.0)
     assert case.ros == pytest.approx(1.5)
     assert [(t.measured, t.met) for t in targets([case])] == [("800/s", False), ("1,250/s", True)]
+    assert targets([case], substeps=4) == []  # that target is one of single physics steps
 
 
 def test_ticks_with_images_are_judged_by_what_the_split_into_processes_adds() -> None:
