@@ -166,6 +166,54 @@ def test_lidars_that_nobody_wants_are_left_out_and_later_ones_are_the_same(robot
     assert not any(suite.misses.values())
 
 
+class SpeedingWorld(FakeWorld):
+    """The robot becomes faster and faster, and turns."""
+
+    def state_of(self, name: str) -> SceneState:
+        t = self.step / STEP_HZ
+        quat, twist = [0.0, 0.0, np.sin(t / 2), np.cos(t / 2)], [t**3, t**2, 0.0, 0.0, 0.0, 1.0]
+        return replace(super().state_of(name), quats_xyzw=np.array([quat]), twists=np.array([twist]))
+
+
+def test_an_imu_that_nobody_wants_rests_and_from_its_second_sample_on_it_is_as_if_it_had_not(robot: RobotSpec) -> None:
+    all_of_it = run(SensorSuite(robot, STEP_HZ, PUBLISH_HZ, GRAVITY), SpeedingWorld(), 1, 96)
+    suite, world = SensorSuite(robot, STEP_HZ, PUBLISH_HZ, GRAVITY), SpeedingWorld()
+    wanted: list[str] = []
+    found = {}
+    for step in range(1, 97):
+        world.step = step
+        wanted[:] = ["imu"] if 48 < step <= 72 or step > 80 else []
+        found[step] = suite.measure(world, step, stamp(step), wanted.__contains__)
+    due = [step for step in range(1, 97) if step in all_of_it and all_of_it[step].imus]
+    first = [next(step for step in due if step > begin) for begin in (48, 80)]
+    measured = [step for step in due if (48 < step <= 72 or step > 80) and step not in first]
+    assert [step for step, got in found.items() if got.imus] == measured
+    for step in measured:
+        assert found[step].imus[0].linear_acceleration.tolist() == all_of_it[step].imus[0].linear_acceleration.tolist()
+    assert not any(suite.misses.values())
+
+
+def test_an_imu_that_is_wanted_from_the_start_gives_its_first_sample(robot: RobotSpec) -> None:
+    suite, world = SensorSuite(robot, STEP_HZ, PUBLISH_HZ, GRAVITY), SpeedingWorld()
+    found = {}
+    for step in range(1, 25):
+        world.step = step
+        found[step] = suite.measure(world, step, stamp(step), {"imu"}.__contains__)
+    always = run(SensorSuite(robot, STEP_HZ, PUBLISH_HZ, GRAVITY), SpeedingWorld(), 1, 24)
+    assert [step for step, got in found.items() if got.imus] == [step for step, got in always.items() if got.imus]
+
+
+def test_an_imu_whose_biases_walk_never_rests(robot: RobotSpec) -> None:
+    walking = replace(robot, sensors=replace(ALL, imus=(replace(ALL.imus[0], accel_bias_walk=0.01),)))
+    suite, world = SensorSuite(walking, STEP_HZ, PUBLISH_HZ, GRAVITY), SpeedingWorld()
+    asked = []
+    for step in range(1, 97):
+        world.step = step
+        if suite.measure(world, step, stamp(step), lambda name: False).imus:
+            asked.append(step)
+    assert asked == [step for step in range(1, 97) if is_due(step, walking.sensors.imus[0].rate_hz, STEP_HZ)]
+
+
 def test_other_seed_gives_other_errors(robot: RobotSpec) -> None:
     one, other = (numbers(run(SensorSuite(robot, STEP_HZ, PUBLISH_HZ, GRAVITY, seed), FakeWorld(), 1, 100)) for seed in (7, 8))
     assert not np.isclose(np.concatenate(one), np.concatenate(other)).all()

@@ -267,7 +267,7 @@ class RobotInterface:
         self._rows_of = state.revision
 
     def measure(self, world: PhysicsWorld, *, all_of_it: bool) -> Measurements:
-        """Returns what is due of the sensors at the step that was just made: all of it, or no lidar that nobody listens to."""
+        """Returns what is due of the sensors at the step that was just made: all of it, or no lidar and IMU that nobody listens to."""
         return self.sensors.measure(world, world.step_count, world.stamp_ns, None if all_of_it else self._is_heard)
 
     def _is_heard(self, sensor: str) -> bool:

@@ -73,16 +73,34 @@ class Imu:
         if self.bias.any():
             self.bias *= self._noise.at(0, _START).standard_normal(6)
 
+    @property
+    def may_rest(self) -> bool:
+        """Whether a sample needs nothing of those before it but the velocity at the last one: no bias walks."""
+        return not self._walks_at_all
+
+    def note(self, state: SceneState) -> None:
+        """Takes the velocity at a sample that nobody asks for: the next one is then as if all before had been measured.
+
+        Raises:
+            ConfigError: the state has no such link.
+        """
+        row = self._row(state)
+        vx, vy, vz = state.twists[row, :3].tolist()
+        x, y, z, w = state.quats_xyzw[row].tolist()
+        self._last = state.stamp_ns, (vx, vy, vz), (x, y, z, w)
+
+    def _row(self, state: SceneState) -> int:
+        if self.spec.link not in state.links:
+            raise ConfigError(f"imu on {self.spec.link!r}: no such link in the scene; known: {', '.join(state.links)}")
+        return state.links.index(self.spec.link)
+
     def measure(self, state: SceneState) -> ImuReading:
         """Returns a sample; the first one after a reset takes the velocity to have been constant until then.
 
         Raises:
             ConfigError: the state has no such link, or is not later than the one before.
         """
-        spec = self.spec
-        if spec.link not in state.links:
-            raise ConfigError(f"imu on {spec.link!r}: no such link in the scene; known: {', '.join(state.links)}")
-        row = state.links.index(spec.link)
+        spec, row = self.spec, self._row(state)
         x, y, z, w = quat = tuple(state.quats_xyzw[row].tolist())
         vx, vy, vz, *angular = state.twists[row].tolist()
         force, dt = _into_link(quat, self._lift), 1.0 / spec.rate_hz

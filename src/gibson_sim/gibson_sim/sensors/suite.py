@@ -42,8 +42,6 @@ class World(Protocol):
         """Returns the moving joints of a robot."""
 
 
-_STATELESS = ("scans", "clouds")
-"""Kinds of readings that depend on nothing but the world, the seed and the stamp."""
 _Read = Callable[[World, int, int], Any]
 """(world, step, stamp_ns) to a reading."""
 
@@ -88,10 +86,13 @@ class SensorSuite:
         self._imus = [Imu(spec, gravity, seed) for spec in sensors.imus]
         self._battery = None if sensors.battery is None else Battery(sensors.battery)
         self._tasks: list[_Task] = [
-            *(_Task(spec.name, "scans", _Timer(spec.rate_hz, step_hz, tick), self._scan(spec)) for spec in sensors.lidars),
-            *(_Task(spec.name, "clouds", _Timer(spec.rate_hz, step_hz, tick), self._cloud(spec)) for spec in sensors.lidars_3d),
+            *(_Task(s.name, "scans", _Timer(s.rate_hz, step_hz, tick), self._scan(s), may_rest=True) for s in sensors.lidars),
+            *(
+                _Task(s.name, "clouds", _Timer(s.rate_hz, step_hz, tick), self._cloud(s), may_rest=True)
+                for s in sensors.lidars_3d
+            ),
             *(_Task(spec.name, "bumpers", _Timer(spec.rate_hz, step_hz, tick), self._bumper(spec)) for spec in sensors.bumpers),
-            *(_Task(imu.spec.name, "imus", _Timer(imu.spec.rate_hz, step_hz, 1), _imu(imu, robot.name)) for imu in self._imus),
+            *(_imu(imu, robot.name, step_hz) for imu in self._imus),
         ]
         if self._battery is not None:
             spec = self._battery.spec
@@ -122,16 +123,21 @@ class SensorSuite:
             world: As it is after ``step`` steps.
             step: Steps since load; after going back, ``reset``.
             stamp_ns: Of that step.
-            is_wanted: Whether the lidar of a name is to be measured; it remembers nothing, and takes longest. None = all are.
+            is_wanted: Whether the sensor of a name is to be measured, if it remembers next to nothing: lidars, which take longest, and
+                IMUs without walking biases, whose first sample then is the one after. None = all are.
         """
         if self._next is None or step < self._next:
             return Measurements(stamp_ns)
         readings: dict[str, list[Any]] = {}
         for task in self._tasks:
             if task.due <= step and task.advance(step):
-                if is_wanted is not None and task.kind in _STATELESS and not is_wanted(task.name):
+                rested, task.rests = task.rests, task.may_rest and is_wanted is not None and not is_wanted(task.name)
+                if task.rests:
                     continue
                 try:
+                    if rested and task.wake is not None:
+                        task.wake(world)
+                        continue
                     readings.setdefault(task.kind, []).append(task.read(world, step, stamp_ns))
                 except GibsonSimError as error:
                     task.miss(self._robot.name, error)
@@ -167,8 +173,12 @@ class SensorSuite:
         return reading
 
 
-def _imu(imu: Imu, robot: str) -> _Read:
-    return lambda world, step, stamp_ns: imu.measure(world.state_of(robot))
+def _imu(imu: Imu, robot: str, step_hz: int) -> _Task:
+    return _Task(
+        imu.spec.name, "imus", _Timer(imu.spec.rate_hz, step_hz, 1),
+        read=lambda world, step, stamp_ns: imu.measure(world.state_of(robot)),
+        may_rest=imu.may_rest, wake=lambda world: imu.note(world.state_of(robot)),
+    )  # fmt: skip
 
 
 class _Timer:
@@ -189,10 +199,28 @@ class _Timer:
 
 
 class _Task:
-    """One sensor and when it is due next."""
+    """One sensor and when it is due next.
 
-    def __init__(self, name: str, kind: str, timer: _Timer, read: _Read) -> None:
-        self.name, self.kind, self.read = name, kind, read
+    Args:
+        name: of the sensor.
+        kind: field of ``Measurements``.
+        timer: when it is due.
+        read: measures.
+        may_rest: whether it can be left out while nobody wants it.
+        wake: is called instead of ``read`` at the first time after a rest; None = it reads at once.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        kind: str,
+        timer: _Timer,
+        read: _Read,
+        *,
+        may_rest: bool = False,
+        wake: Callable[[World], None] | None = None,
+    ) -> None:
+        self.name, self.kind, self.read, self.may_rest, self.wake = name, kind, read, may_rest, wake
         self._timer = timer
         self.start(0)
 
@@ -200,6 +228,7 @@ class _Task:
         self._count = self._timer.count(step)
         self.due = self._timer.step_of(self._count + 1)
         self.misses = 0
+        self.rests = False
 
     def advance(self, step: int) -> bool:
         """Returns whether the sensor is due at ``step``; goes on to the next time, and counts those before ``step`` as missed."""
