@@ -15,11 +15,9 @@ class Machine:
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.folder, self.usable, self.moved, self.gone = folder, {4, 6}, dict[int, set[int]](), set[int]()
-        self.batch: set[int] = set()
         monkeypatch.setattr(cores, "_TASKS", folder)
         monkeypatch.setattr(os, "sched_getaffinity", lambda number: self.usable)
         monkeypatch.setattr(os, "sched_setaffinity", self._move)
-        monkeypatch.setattr(os, "sched_setscheduler", self._make_batch)
 
     def add(self, number: int, name: str) -> None:
         (self.folder / str(number)).mkdir()
@@ -29,10 +27,6 @@ class Machine:
         if number in self.gone:
             raise ProcessLookupError(3, "No such process")
         self.moved[number] = to
-
-    def _make_batch(self, number: int, policy: int, parameter: os.sched_param) -> None:
-        if (policy, parameter.sched_priority) == (os.SCHED_BATCH, 0):
-            self.batch.add(number)
 
 
 @pytest.fixture
@@ -46,7 +40,6 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
 def test_each_thread_gets_one_of_the_cores_that_may_be_used_and_others_stay(machine: Machine) -> None:
     assert cores.spread_threads() == {101: 4, 102: 6}
     assert machine.moved == {101: {4}, 102: {6}}
-    assert machine.batch == {101, 102}
 
 
 def test_those_of_a_second_renderer_stand_beside_those_of_the_first(machine: Machine) -> None:
@@ -62,7 +55,6 @@ def test_they_are_left_alone_where_there_is_one_core_or_there_are_fewer_threads_
     machine.usable = usable
     assert cores.spread_threads() == {}
     assert machine.moved == {}
-    assert machine.batch == set()
 
 
 def test_a_thread_that_ends_meanwhile_does_not_keep_the_others_from_their_cores(machine: Machine) -> None:

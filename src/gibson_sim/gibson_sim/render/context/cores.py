@@ -1,8 +1,7 @@
 """Gives each drawing thread of Mesa's software renderer a core of its own.
 
 It has as many threads as there are cores, and wakes all of them for each picture. Linux may put two on one core, beside one that has
-nothing to do, and leave them there for milliseconds, which is as long as a picture takes. And a thread that is woken may take the core of
-the one that wakes it, which has the next triangles to hand out.
+nothing to do, and leave them there for milliseconds, which is as long as a picture takes.
 """
 
 from __future__ import annotations
@@ -18,8 +17,6 @@ _NAME = re.compile(r"llvmpipe-(\d+)")
 def spread_threads() -> dict[int, int]:
     """Returns the core of each thread, by its id; empty where they are left to the scheduler.
 
-    Those that have one are batch threads (sched(7)): woken, they wait until whoever runs there pauses, or has had its share.
-
     That is so where there are fewer of them than cores that this process may use (``LP_NUM_THREADS``): the cores of others are not known.
     """
     cores, threads = sorted(os.sched_getaffinity(0)), drawing_threads()
@@ -29,7 +26,6 @@ def spread_threads() -> dict[int, int]:
     for thread, core in placed.items():
         try:
             os.sched_setaffinity(thread, {core})
-            os.sched_setscheduler(thread, os.SCHED_BATCH, os.sched_param(0))
         except OSError:  # it has just ended, or may not be moved
             continue
     return placed
