@@ -22,6 +22,7 @@ from nav_msgs.msg import Odometry  # noqa: E402
 from rosbags.highlevel import AnyReader  # noqa: E402
 
 from gibson_msgs.msg import TickDone  # noqa: E402
+from gibson_sim.cli.environment import PARENT_VARIABLE  # noqa: E402
 from gibson_sim.ros import qos  # noqa: E402
 from support.clients import DEEP, LaunchedNode, step_of, steps_of  # noqa: E402
 from support.lockstep import NAME, Controller  # noqa: E402
@@ -58,6 +59,7 @@ def _error(launched: Launched) -> str:
 def _steps_in_bag(bag: Path, topic: str) -> list[int]:
     with AnyReader([bag]) as reader:
         found = [c for c in reader.connections if c.topic == topic]
+        assert found, f"{bag} has no topic {topic}"
         messages = [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(found)]
     return [step_of(m.header.stamp.sec * 10**9 + m.header.stamp.nanosec) for m in messages]
 
@@ -207,7 +209,7 @@ def test_a_recorder_that_comes_later_takes_part_until_it_ends(
     launched = start("--participants", NAME, "--participant-timeout", "100")
     launched.wait_for_line("triangles")
     images = Controller(listener, images=(IMAGE,)).images[IMAGE]
-    recorder = LaunchedNode("record", "-p", f"output:={tmp_path / 'bag'}", "-p", "duration:=5.0")
+    recorder = LaunchedNode("record", "-p", f"output:={tmp_path / 'bag'}", "-p", "duration:=5.0", env={PARENT_VARIABLE: ""})
     listener.spin_until(lambda: bool(_said(launched, "'record' takes part, after cameras")), "a recorder")
     listener.spin_until(lambda: recorder.process.poll() is not None, "its end")
     assert recorder.wait() == 0
@@ -216,6 +218,7 @@ def test_a_recorder_that_comes_later_takes_part_until_it_ends(
     listener.spin_until(lambda: len(images) > before + 5, "images afterwards")
     steps = _steps_in_bag(tmp_path / "bag", f"/{IMAGE}")
     assert steps == list(range(steps[0], steps[-1] + 1, IMAGE_STEPS)), "each once"
+    assert len(steps) == 50, "ten a second, for five seconds"
 
 
 def test_several_render_nodes_draw_every_image_that_is_due(

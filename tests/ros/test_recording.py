@@ -7,6 +7,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +27,11 @@ from rosbags.highlevel import AnyReader  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
+from gibson_msgs.msg import TickDone  # noqa: E402
 from gibson_sim.bags.reader import BagReader  # noqa: E402
 from gibson_sim.bags.writer import BagWriter  # noqa: E402
 from gibson_sim.cli.environment import PARENT_VARIABLE  # noqa: E402
+from gibson_sim.ros import qos  # noqa: E402
 from gibson_sim.ros.conversions import time_to_msg  # noqa: E402
 from gibson_sim.simulation.domain_lock import DomainLock  # noqa: E402
 from support.clients import DEEP, LATCHED, Control, LaunchedNode  # noqa: E402
@@ -187,6 +190,39 @@ def test_recording_goes_on_in_another_bag_after_a_reset(source: Source) -> None:
     assert _texts(source.folder / "bag_epoch1", "/room") == [(0, "four walls")]
     assert len(summary["bags"]) == 2
     assert sum("time went back from 5.000 s to 0.000 s" in line for line in recorder.lines) == 1
+
+
+def test_where_lockstep_runs_already_it_begins_once_it_hears_everybody(source: Source) -> None:
+    listener, node = source.listener, source.listener.node
+    said = listener.collect(TickDone, "tick_done", qos.TICK_DONE)
+    source.record()
+    stamps = count(1)
+
+    def happens(condition: Callable[[], bool]) -> Callable[[], bool]:
+        def look() -> bool:
+            source.say("before", at_ns=next(stamps))
+            return condition()
+
+        return look
+
+    listener.spin_until(happens(lambda: next(stamps) > 10), "time that runs")
+    early = node.create_publisher(String, "/early", 10)
+    listener.spin_until(happens(early.get_subscription_count), "a recorder that listens")  # it has just heard of something new
+    late, made_ns = node.create_publisher(String, "/late", 10), next(stamps)
+    listener.spin_until(happens(lambda: any(m.event == TickDone.WATCH for m in said)), "a recorder that takes part")
+    assert late.get_subscription_count() == 1
+    time.sleep(0.5)  # what is on its way comes
+    source.say("first", at_ns=NS)
+    late.publish(String(data="first"))
+    source.wait_until_delivered()
+    summary = source.stop()
+    bag = source.folder / "bag"
+    texts = _texts(bag)
+    assert texts[-1] == (NS, "first")
+    assert _texts(bag, "/late") == [(NS, "first")]
+    assert texts[0][0] > made_ns, "nothing of the time in which it did not hear everybody"
+    assert _texts(bag, "/room") == [(texts[0][0], "four walls")]
+    assert (summary["lost"]["/text"], summary["message_lost"]) == (0, {})
 
 
 def test_recorder_that_cannot_start_says_why(ros_domain: int, tmp_path: Path) -> None:

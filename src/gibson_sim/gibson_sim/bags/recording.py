@@ -79,11 +79,6 @@ class Recording:
         """What ended it early; empty = nothing."""
 
     @property
-    def has_clock(self) -> bool:
-        """Whether /clock came, without which nothing is written."""
-        return self._now_ns is not None
-
-    @property
     def keeps_snapshots(self) -> bool:
         """Whether messages are kept in memory instead of being written."""
         return self._memory is not None

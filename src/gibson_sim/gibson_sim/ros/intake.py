@@ -57,6 +57,7 @@ class Intake:
         self._subscriptions: dict[str, Any] = {}
         self._lost_events: dict[str, Any] = {}
         self._lost_messages: dict[str, int] = {}
+        self._lost_before: dict[str, int] = {}
         self._losses = Losses()
         self._held: list[Taken] = []
         self._sent_ns: dict[str, int] = {}
@@ -124,18 +125,27 @@ class Intake:
                 unheard[topic] = heard, there
         return unheard
 
+    def forget_losses(self) -> None:
+        """Counts losses from now on."""
+        self._losses = Losses()
+        self._lost_before = self._lost_messages_until_now()
+
     def lost(self) -> dict[str, int]:
         """Returns how many messages never came, of each topic of which that is known."""
         return self._losses.counts()
 
     def reported_lost(self) -> dict[str, int]:
         """Returns how many messages the middleware reports as lost, of topics with such."""
+        found = {topic: count - self._lost_before.get(topic, 0) for topic, count in self._lost_messages_until_now().items()}
+        return {topic: count for topic, count in sorted(found.items()) if count}
+
+    def _lost_messages_until_now(self) -> dict[str, int]:
         for topic, event in self._lost_events.items():
             with event:
                 status = event.take_event()
             if status is not None:
                 self._lost_messages[topic] = max(self._lost_messages.get(topic, 0), status.total_count)
-        return {topic: count for topic, count in sorted(self._lost_messages.items()) if count}
+        return dict(self._lost_messages)
 
     def close(self) -> None:
         """Ends the subscriptions; a second time does nothing."""

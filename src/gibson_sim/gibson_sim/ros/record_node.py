@@ -12,13 +12,14 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from gibson_msgs.msg import SceneState
+from gibson_sim.bags.beginning import Beginning
 from gibson_sim.bags.recording import Recording, report_lines
 from gibson_sim.client_config import RecordConfig
 from gibson_sim.errors import RecordError
 from gibson_sim.ros import names, qos
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.intake import DEPTH, Intake, Taken, offered_qos, recording_profile
-from gibson_sim.ros.lockstep_client import LockstepParticipant
+from gibson_sim.ros.lockstep_client import MATCHING_S, SETTLED_S, LockstepParticipant
 from gibson_sim.ros.node_main import goes_on, run_node, started_by_launcher, write_summary
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.ros.record_services import offer_services
@@ -31,6 +32,10 @@ QUIET_S, MOST_DRAIN_S = 0.3, 3.0
 """At the end: nothing came for so long that was sent before; and how long that may take."""
 PATIENCE_S = 30.0
 """Without /clock for so long, a user wants to know why nothing is recorded."""
+TIME_KNOWN_S = 0.5
+"""So long after the publisher of /clock is known, it is known, too, whether time runs and whether its node listens to participants of lockstep."""
+ALONE_S = 3.0
+"""Where nobody who publishes /clock is known after so long, the recorder was there first."""
 UNHEARD_S = 5.0
 """So long it may take until a new publisher is heard."""
 ENDED_EARLY = 5
@@ -45,7 +50,7 @@ class RecordNode(Node):
     messages, which get its time. Asked to end, it takes everything that was sent before, then closes the bag.
 
     It takes part in a simulation in lockstep: time does not go on with new images before it has written those of the tick before,
-    however slow the disk is.
+    however slow the disk is. Where time was running already when it came, the bag begins once it knows of all topics: see ``Beginning``.
 
     Parameters: the fields of ``gibson_sim.config.RecordConfig``.
 
@@ -69,9 +74,13 @@ class RecordNode(Node):
         self._seen: set[str] = set()
         self._unheard: dict[str, float] = {}
         self._lockstep: LockstepParticipant | None = None
+        self._latched: set[str] = set()
+        self._beginning = Beginning(self._latched.__contains__)
+        # Steady clock, seconds.
+        self._started, self._changed, self._time_known = time.monotonic(), 0.0, math.inf
         self._intake = Intake(self)
         self._intake.subscribe(names.CLOCK, CLOCK_TYPE, QoSProfile(depth=DEPTH))
-        offer_services(self, self._recording, lambda: self._take_waiting(all_of_it=True))
+        offer_services(self, self._recording, self._take_all)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.2, self._find_topics, clock=steady)
         self.create_timer(config.flush_period, self._recording.flush, clock=steady)
@@ -81,7 +90,8 @@ class RecordNode(Node):
     def _find_topics(self) -> None:
         """Subscribes to what has appeared since the last look. Last comes what the physics node waits for: see ``PhysicsConfig``."""
         assert self._intake is not None
-        self._warn_of_unheard(self._intake.count_publishers())
+        known, unheard = len(self._seen), self._intake.count_publishers()
+        self._warn_of_unheard(unheard)
         found = {topic for topic, _ in self.get_topic_names_and_types() if topic not in self._seen and self._is_wanted(topic)}
         last = (f"/{names.SCENE_STATE}", f"/{names.GROUND_TRUTH}")
         for topic in sorted(found, key=lambda t: (t.endswith(last), t)):
@@ -92,9 +102,35 @@ class RecordNode(Node):
             elif publishers:
                 self._seen.add(topic)
                 self._record(topic, publishers)
-        if self._lockstep is None and self.count_subscribers(names.TICK_DONE):
-            self.create_subscription(SceneState, names.SCENE_STATE, self._on_state, qos.STATE)
-            self._lockstep = LockstepParticipant(self, after=CAMERAS, watches=True)
+        if unheard or len(self._seen) > known:
+            self._changed = time.monotonic()
+        if self._lockstep is None:
+            self._look_where_to_begin()
+
+    def _look_where_to_begin(self) -> None:
+        """Takes part where the node that makes time listens to participants; those that listen besides may be recorders as we are."""
+        assert self._intake is not None
+        now, makers, beginning = time.monotonic(), _nodes(self.get_publishers_info_by_topic(names.CLOCK)), self._beginning
+        if makers:
+            self._time_known = min(self._time_known, now)
+        known_s = now - self._time_known
+        if not makers & _nodes(self.get_subscriptions_info_by_topic(names.TICK_DONE)):
+            if known_s > TIME_KNOWN_S or (not makers and now - self._started > ALONE_S):
+                beginning.open()
+        elif started_by_launcher() or beginning.is_open or (known_s > TIME_KNOWN_S and not beginning.is_late):
+            beginning.open()
+            self._join()
+        elif known_s > MATCHING_S or now - max(self._changed, self._time_known) > SETTLED_S:
+            self._take_waiting(all_of_it=True)
+            self._intake.forget_losses()
+            beginning.begin_with_clock()
+            self._join()
+        elif beginning.is_late:
+            beginning.leave_out()
+
+    def _join(self) -> None:
+        self.create_subscription(SceneState, names.SCENE_STATE, self._on_state, qos.STATE)
+        self._lockstep = LockstepParticipant(self, after=CAMERAS, watches=True)
 
     def _on_state(self, msg: SceneState) -> None:
         """Writes what came before this tick; what it brings itself is being drawn meanwhile."""
@@ -127,6 +163,8 @@ class RecordNode(Node):
         type_name = publishers[0].topic_type
         profile = recording_profile(publishers, type_name)
         latched = profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        if latched:
+            self._latched.add(topic)
         try:
             self._recording.add_topic(topic, type_name, offered_qos(profile, type_name), latched=latched)
             self._intake.subscribe(topic, type_name, profile)
@@ -137,13 +175,19 @@ class RecordNode(Node):
         assert self._intake is not None
         self._write(self._intake.take(all_of_it=all_of_it))
 
+    def _take_all(self) -> None:
+        """Records all that was sent before now and is not left out, and begins here if it has not begun."""
+        self._take_waiting(all_of_it=True)
+        self._beginning.open()
+        self._write([])
+
     def _write(self, messages: list[Taken]) -> None:
         """Writes messages in the order in which they were sent."""
-        for message in messages:
-            if message.topic == names.CLOCK:
-                self._recording.on_clock(message.data)
+        for topic, data in self._beginning.let_through((message.topic, message.data) for message in messages):
+            if topic == names.CLOCK:
+                self._recording.on_clock(data)
             else:
-                self._recording.take(message.topic, message.data)
+                self._recording.take(topic, data)
 
     def spin(self) -> int:
         """Records until it is asked to end, ``duration`` has passed or the disk is full; returns the exit code."""
@@ -171,10 +215,10 @@ class RecordNode(Node):
             if any(message.sent_ns <= asked_ns for message in messages):
                 quiet = time.monotonic()
             time.sleep(TURN_S)
-        self._take_waiting(all_of_it=True)
+        self._take_all()
 
     def _complain_without_clock(self) -> None:
-        if not self._recording.has_clock:
+        if not self._beginning.has_clock:
             self.get_logger().warning("nothing is recorded yet: no /clock arrives; is a simulation running in this domain?")
 
     def close(self) -> None:
@@ -191,6 +235,10 @@ class RecordNode(Node):
             lines = [line for line in lines if line.startswith("WARNING")]
         for line in lines:
             sys.stderr.write(f"{line}\n")
+
+
+def _nodes(endpoints: list[Any]) -> set[tuple[str, str]]:
+    return {(endpoint.node_namespace, endpoint.node_name) for endpoint in endpoints}
 
 
 def main(args: list[str] | None = None) -> None:
