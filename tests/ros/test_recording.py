@@ -196,7 +196,7 @@ def test_where_lockstep_runs_already_it_begins_once_it_hears_everybody(source: S
     listener, node, publishers = source.listener, source.listener.node, list[Any]()
     said = listener.collect(TickDone, "tick_done", qos.TICK_DONE)
     news = node.create_timer(0.2, lambda: publishers.append(node.create_publisher(String, f"/new_{len(publishers)}", 10)))
-    source.record()
+    recorder = source.record()
     stamps = count(1)
 
     def happens(condition: Callable[[], bool]) -> Callable[[], bool]:
@@ -224,6 +224,7 @@ def test_where_lockstep_runs_already_it_begins_once_it_hears_everybody(source: S
     assert texts[0][0] > made_ns, "nothing of the time in which it did not hear everybody"
     assert _texts(bag, "/room") == [(texts[0][0], "four walls")]
     assert (summary["lost"]["/text"], summary["message_lost"]) == (0, {})
+    assert any("time is running already: the bag begins" in line for line in recorder.lines)
 
 
 def test_recorder_that_cannot_start_says_why(ros_domain: int, tmp_path: Path) -> None:

@@ -124,6 +124,7 @@ class RecordNode(Node):
             self._take_waiting(all_of_it=True)
             self._intake.forget_losses()
             beginning.begin_with_clock()
+            self.get_logger().info(f"time is running already: the bag begins with the next /clock, with {len(self._seen)} topics")
             self._join()
         elif beginning.is_late:
             beginning.leave_out()
