@@ -34,7 +34,13 @@ def sim(ros_domain: int) -> Iterator[Launched]:
 
 
 @pytest.fixture
-def node(sim: Launched) -> Iterator[LaunchedNode]:
+def before(sim: Launched, listener: Listener) -> set[str]:
+    """What is there before the first episode."""
+    return entities(Control(listener))
+
+
+@pytest.fixture
+def node(before: set[str]) -> Iterator[LaunchedNode]:
     launched = LaunchedNode("task", "-p", f"task:={TASK}", "-p", f"scene:={SCENE}", "-p", f"seed:={SEED}")
     yield launched
     assert launched.stop() == 0, "\n".join(launched.lines)
@@ -55,7 +61,8 @@ def put_robot(control: Control, x: float, y: float, z: float) -> None:
     assert result.result == result.RESULT_OK, result.error_message
 
 
-def test_episodes_are_announced_judged_and_reset(sim: Launched, node: LaunchedNode, listener: Listener) -> None:
+@pytest.mark.usefixtures("node")
+def test_episodes_are_announced_judged_and_reset(listener: Listener, before: set[str]) -> None:
     control = Control(listener)
     texts: dict[str, list[dict[str, Any]]] = {"info": [], "result": []}
     for name, found in texts.items():
@@ -63,7 +70,6 @@ def test_episodes_are_announced_judged_and_reset(sim: Launched, node: LaunchedNo
             String, f"task/{name}", lambda msg, found=found: found.append(json.loads(msg.data)), LATCHED
         )
     goals = listener.collect(PoseStamped, "task/goal", LATCHED)
-    before = entities(control)
 
     def begun(seed: int) -> dict[str, Any]:
         """Waits until an episode is announced, and checks it against the generator's."""

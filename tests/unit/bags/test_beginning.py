@@ -38,6 +38,14 @@ def test_one_that_came_late_begins_with_the_clock_after_all_is_heard() -> None:
     assert beginning.is_open
 
 
+def test_where_time_stands_it_begins_when_time_goes_on() -> None:
+    beginning = _beginning()
+    beginning.let_through([("/room", b"walls")])
+    beginning.begin_with_clock()
+    assert beginning.let_through([("/image", b"once more")]) == []
+    assert beginning.let_through([_clock(0.1125), ("/a", b"0")]) == [("/room", b"walls"), _clock(0.1125), ("/a", b"0")]
+
+
 def test_late_is_who_hears_of_time_when_it_is_running() -> None:
     beginning = _beginning()
     assert (beginning.has_clock, beginning.is_late) == (False, False)

@@ -15,7 +15,7 @@ class Beginning:
     """Holds messages back until it is known where the recording begins.
 
     A new process hears of the others one by one, which takes a second and more. Where time runs freely, all that is heard is recorded. In
-    lockstep nothing is to be missing: where time was running already when the recorder came, the bag begins with the first /clock after everybody is
+    lockstep nothing is to be missing: where the simulation was there before the recorder, the bag begins with the first /clock after everybody is
     heard. Latched messages of before are in it, too.
 
     Args:

@@ -50,7 +50,8 @@ class RecordNode(Node):
     messages, which get its time. Asked to end, it takes everything that was sent before, then closes the bag.
 
     It takes part in a simulation in lockstep: time does not go on with new images before it has written those of the tick before,
-    however slow the disk is. Where time was running already when it came, the bag begins once it knows of all topics: see ``Beginning``.
+    however slow the disk is. Where the simulation was there before it, the bag begins with a /clock: where time runs, with the
+    first one after it knows of all topics; where time stands, as soon as it goes on. See ``Beginning``.
 
     Parameters: the fields of ``gibson_sim.config.RecordConfig``.
 
@@ -117,8 +118,12 @@ class RecordNode(Node):
         if not makers & _nodes(self.get_subscriptions_info_by_topic(names.TICK_DONE)):
             if known_s > TIME_KNOWN_S or (not makers and now - self._started > ALONE_S):
                 beginning.open()
-        elif started_by_launcher() or beginning.is_open or (known_s > TIME_KNOWN_S and not beginning.is_late):
+        elif started_by_launcher() or beginning.is_open:
             beginning.open()
+            self._join()
+        elif known_s > TIME_KNOWN_S and not beginning.is_late:
+            # Time stands. An image of where it stands may be sent once more, without the rest of its tick.
+            beginning.begin_with_clock()
             self._join()
         elif known_s > MATCHING_S or now - max(self._changed, self._time_known) > SETTLED_S:
             self._take_waiting(all_of_it=True)
