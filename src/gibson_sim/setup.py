@@ -43,9 +43,11 @@ setup(
         "mcap",
         "lz4",
         "meshoptimizer",
+        "DracoPy",
         "zstandard",
         "av",
         "rich",
+        "xacro",
     ],
     extras_require={
         "test": ["pytest", "pytest-rerunfailures", "pytest-xdist", "hypothesis"],
@@ -58,7 +60,6 @@ setup(
         "authoring": ["bpy"],
         "collision": ["coacd>=1.0.7"],
         "usd": ["usd-core>=24.8"],
-        "xacro": ["xacro>=2.0"],
         "scanning": ["open3d-cpu>=0.19; platform_machine == 'x86_64'", "open3d>=0.19; platform_machine != 'x86_64'"],
     },
     data_files=[
@@ -72,13 +73,13 @@ setup(
     entry_points={
         "console_scripts": [
             "gibson-sim = gibson_sim.cli.main:main",
-            "physics_node = gibson_sim.ros.physics_node:main",
-            "render_node = gibson_sim.ros.render_node:main",
-            "drive_node = gibson_sim.ros.drive_node:main",
-            "record_node = gibson_sim.ros.record_node:main",
-            "snapshot_node = gibson_sim.ros.snapshot_node:main",
-            "replay_node = gibson_sim.ros.replay_node:main",
-            "task_node = gibson_sim.ros.task_node:main",
+            "physics_node = gibson_sim.ros.start:physics_node",
+            "render_node = gibson_sim.ros.start:render_node",
+            "drive_node = gibson_sim.ros.start:drive_node",
+            "record_node = gibson_sim.ros.start:record_node",
+            "snapshot_node = gibson_sim.ros.start:snapshot_node",
+            "replay_node = gibson_sim.ros.start:replay_node",
+            "task_node = gibson_sim.ros.start:task_node",
         ],
     },
 )

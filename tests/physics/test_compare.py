@@ -20,6 +20,16 @@ from support.robots import GIBSON_BOT, write_gibson_bot
 STEPS = [f"{v} 0 1.2" for v in (0.3, 0, -0.45, 0)] + [f"0 {w} 1.2" for w in (1.0, 0, -1.7, 0)]
 RAMP = [f"{0.05 * sign * k:.2f} 0 0.2" for sign in (1, -1) for k in range(1, 9)]
 SCRIPT = "\n".join(["0 0 5", *STEPS, *RAMP, "0 0 1", "0.3 0.8 3", "0.2 -0.9 3", "-0.3 0.6 3", "-0.25 -0.7 3", "0 0 5"])
+OTHER_SCRIPT = "\n".join(
+    [
+        "0 0 4.98",
+        *(f"{v} 0 0.97" for v in (0.35, 0, -0.4, 0)),
+        *(f"0 {w} 1.13" for w in (1.2, 0, -1.5, 0)),
+        "0.3 0.7 2",
+        "-0.3 -0.5 2",
+        "0 0 4",
+    ]
+)
 REAL: dict[str, dict[str, Any]] = {
     "drive": {
         "command_delay": 0.12, "slip": 0.05, "turn_slip": 0.08, "max_linear_acceleration": 0.6, "max_angular_acceleration": 2.5,
@@ -43,6 +53,8 @@ class Outcome:
     fitted: dict[str, Any]
     biases: list[float]
     """Of the real robot: three of its gyroscopes, three of its accelerometers."""
+    twin: dict[str, Any]
+    """What a comparison of the simulated robot with itself finds, in another drive with other noise."""
 
 
 @pytest.fixture(scope="module")
@@ -50,15 +62,22 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
     folder = tmp_path_factory.mktemp("compare")
     real = _record(folder / "real", REAL, seed=5)
     _record(folder / "sim", SIM, seed=0)
+    _record(folder / "twin", SIM, seed=3, script=OTHER_SCRIPT, command_hz=30)
     files = ["--html", str(folder / "report.html"), "--json", str(folder / "figures.json")]
     fit = ["--robot", str(folder / "sim/robot"), "--fit", "--output", str(folder / "fitted.yaml")]
     with pytest.raises(SystemExit) as ended:
         main(["compare", str(folder / "real/bag"), str(folder / "sim/bag"), *files, *fit])
     assert ended.value.code == 0
-    return Outcome(folder, yaml.safe_load((folder / "fitted.yaml").read_text()), real["biases"][0])
+    with pytest.raises(SystemExit) as ended:
+        main(["compare", str(folder / "twin/bag"), str(folder / "sim/bag"), "--json", str(folder / "twin.json"), *fit[:2]])
+    assert ended.value.code == 0
+    fitted = yaml.safe_load((folder / "fitted.yaml").read_text())
+    return Outcome(folder, fitted, real["biases"][0], json.loads((folder / "twin.json").read_text()))
 
 
-def _record(folder: Path, changes: dict[str, dict[str, Any]], seed: int) -> dict[str, Any]:
+def _record(
+    folder: Path, changes: dict[str, dict[str, Any]], seed: int, script: str = SCRIPT, command_hz: int = 20
+) -> dict[str, Any]:
     """Writes the robot with these changes, and the bag of its drive."""
     drive = yaml.safe_load(GIBSON_BOT.read_text(encoding="utf-8"))["drive"]
     robot = write_gibson_bot(
@@ -66,7 +85,14 @@ def _record(folder: Path, changes: dict[str, dict[str, Any]], seed: int) -> dict
         battery=None, imu={"link": "base_link", "rate_hz": 100.0, **changes["imu"]},
         lidar={"link": "base_scan", "beams": 72, "range_min": 0.12, "range_max": 12.0, "rate_hz": 10.0, **changes["lidar"]},
     )  # fmt: skip
-    return record_drive(folder / "bag", load_robot(robot), parse_script(SCRIPT), Recorder(seed=seed))
+    how = Recorder(seed=seed, command_hz=command_hz)
+    return record_drive(folder / "bag", load_robot(robot), parse_script(script), how)
+
+
+def test_nothing_changes_where_both_are_the_same_robot(outcome: Outcome) -> None:
+    fitted = outcome.twin["parameters"]
+    assert [(one["name"], one["old"], one["new"]) for one in fitted if one["changes"]] == []
+    assert {"drive.max_linear_acceleration", "drive.max_angular_acceleration", "drive.slip"} <= {one["name"] for one in fitted}
 
 
 @pytest.mark.parametrize(("section", "key"), FITTED)

@@ -18,6 +18,7 @@ from gibson_sim.robots.joint_commands import JointPositions
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.robots.urdf import parse_urdf
+from gibson_sim.scenes.robot_files import load_robot as measured
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import VelocityCommand
 
@@ -80,6 +81,38 @@ def test_the_husky_is_drawn_from_meshes_that_are_there(root: Path) -> None:
     assert len(husky.visuals) == 9
     assert all(Path(visual.shape.mesh).is_file() for visual in husky.visuals)
     assert "$(" not in husky.urdf.read_text()
+
+
+@pytest.mark.parametrize(
+    ("urdf", "kind"),
+    [
+        ("nav2_minimal_tb3_tb4/nav2_minimal_tb3_sim/urdf/turtlebot3_waffle.urdf", "differential"),
+        ("nav2_minimal_tb3_tb4/nav2_minimal_tb4_description/urdf/standard/turtlebot4.urdf.xacro", "differential"),
+        ("pybullet_data/husky/husky.urdf", "skid_steer"),
+        ("pybullet_data/racecar/racecar.urdf", "ackermann"),
+    ],
+)
+def test_a_description_alone_drives_a_metre_and_turns(
+    request: pytest.FixtureRequest, make_scene: MakeScene, urdf: str, kind: str
+) -> None:
+    if urdf.startswith("pybullet_data"):
+        import pybullet_data
+
+        path = Path(pybullet_data.getDataPath()).parent / urdf
+    else:
+        path = request.getfixturevalue("data_dir") / urdf
+    if path.suffix == ".xacro" and importlib.util.find_spec("xacro") is None:
+        pytest.skip("the xacro package is not installed; pip install xacro")
+    robot = measured(path)
+    assert robot.drive is not None
+    assert robot.drive.kind == kind
+    with PhysicsWorld(make_scene(robot)) as world:
+        start = world.base_pose("robot").position
+        moved(world, 0.25, 0.0, 4 * 240)
+        moved(world, 0.0, 0.0)
+        ahead = world.base_pose("robot").position
+        assert (ahead[0] - start[0], ahead[1] - start[1]) == pytest.approx((1.0, 0.0), abs=0.02)
+        assert moved(world, 0.2, 0.25)[1] == pytest.approx(0.25, rel=0.05)
 
 
 def test_turtlebot_3_drives_as_commanded(data_dir: Path, tmp_path: Path, make_scene: MakeScene) -> None:

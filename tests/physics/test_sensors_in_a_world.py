@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gibson_sim.geometry.transforms import yaw_from_quat
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.sensor_specs import Lidar3DSpec, SensorSpecs
 from gibson_sim.robots.spec import RobotSpec, Shape
@@ -107,3 +108,32 @@ def test_driving_takes_more_out_of_the_battery_than_standing(make_scene: Callabl
     # 10 W for 3 s from a little under 5.2 A h * 11.25 V.
     assert 1.0 - left(0.0) == pytest.approx(30.0 / (5.2 * 3600 * 12.6), rel=0.02)
     assert math.isfinite(left(0.5))
+
+
+def test_odometry_of_an_exact_robot_is_as_good_as_its_covariance_says(flat: SceneSpec) -> None:
+    """The engine's contacts give way a little, more on a floor of triangles; nothing else is wrong."""
+    worst = 0.0
+    with PhysicsWorld(flat, step_hz=STEP_HZ) as world:
+        for linear, angular, seconds in ((0.4, 0.0, 3.0), (0.0, 1.5, 4.0), (0.3, -0.8, 4.0), (0.0, 0.0, 1.0)):
+            for _ in range(round(seconds * STEP_HZ)):
+                world.command("robot", VelocityCommand((linear, 0.0, 0.0), (0.0, 0.0, angular), world.stamp_ns))
+                world.step()
+            odometry, truth = world.odometry("robot"), world.base_pose("robot")
+            turned = math.remainder(odometry.yaw - yaw_from_quat(truth.quat_xyzw), 2 * math.pi)
+            error = np.array([odometry.x - truth.position[0], odometry.y - truth.position[1], turned])
+            pose = np.array(world.odometry_covariance("robot").pose).reshape(3, 3)
+            worst = max(worst, float(error @ np.linalg.solve(pose, error)))
+            assert (pose.diagonal() < 0.02**2).all()
+    assert worst < 16.3, "99.9 % of a chi-square distribution of three dimensions"
+
+
+def test_covariance_of_odometry_begins_anew_with_it(flat: SceneSpec) -> None:
+    with PhysicsWorld(flat, step_hz=STEP_HZ) as world:
+        world.step()
+        fresh = world.odometry_covariance("robot")
+        world.command("robot", VelocityCommand((0.4, 0.0, 0.0), (0.0, 0.0, 1.0), world.stamp_ns))
+        world.step(100)
+        assert world.odometry_covariance("robot").pose[8] > fresh.pose[8]
+        world.reset()
+        world.step()
+        assert world.odometry_covariance("robot").pose == pytest.approx(fresh.pose, rel=0.01)

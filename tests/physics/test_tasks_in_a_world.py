@@ -71,7 +71,7 @@ def test_the_command_lists_all_tasks_and_refuses_what_is_none(capsys: pytest.Cap
     for words, code, text in (
         (["--list"], 0, "push-through"),
         ([], 1, "gibson-sim task --list"),
-        (["fly", "--in-process"], 1, "known: point-goal"),
+        (["fly", "--in-process"], 1, "must be one of point-goal, push-through"),
         (["point-goal", "--in-process", "--baseline", "careful"], 1, "known: scripted, random, none"),
     ):
         with pytest.raises(SystemExit) as end:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from pathlib import Path
 
 import cv2
@@ -134,3 +135,58 @@ def test_a_loader_of_ones_own_is_always_asked(tmp_path: Path, drawn: DrawnScene)
     with Renderer(drawn, loader=loader, cache=tmp_path / "cache"):
         pass
     assert not (tmp_path / "cache").exists()
+
+
+@pytest.mark.parametrize("which", ["the file", "its folder", "the folder above"])
+def test_file_that_others_may_write_is_not_unpickled(
+    drawn: DrawnScene, tmp_path: Path, which: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = tmp_path / "gibson-sim" / "scenes"
+    folder.mkdir(parents=True, mode=0o700)
+    folder.parent.chmod(0o700)
+    kept = cache.SceneCache(folder)
+    file = folder / "a.scene"
+    _explosive(file)
+    {"the file": file, "its folder": folder, "the folder above": folder.parent}[which].chmod(0o777)
+    assert kept.load(file) is None
+    assert kept.load(file) is None
+    assert not (tmp_path / "fired").exists()
+    assert [record.message.count("may be written by others") for record in caplog.records] == [1]
+
+
+def test_link_in_the_place_of_a_file_is_not_followed(drawn: DrawnScene, tmp_path: Path) -> None:
+    folder = tmp_path / "scenes"
+    folder.mkdir(mode=0o700)
+    _explosive(tmp_path / "elsewhere.scene")
+    (folder / "a.scene").symlink_to(tmp_path / "elsewhere.scene")
+    assert cache.SceneCache(folder).load(folder / "a.scene") is None
+    assert not (tmp_path / "fired").exists()
+
+
+def test_file_of_another_user_is_not_unpickled(drawn: DrawnScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "scenes"
+    folder.mkdir(mode=0o700)
+    _explosive(folder / "a.scene")
+    real = cache.os.fstat
+
+    def of_another(descriptor: int) -> os.stat_result:
+        found = list(real(descriptor))
+        found[4] = os.getuid() + 1000
+        return os.stat_result(found)
+
+    monkeypatch.setattr(cache.os, "fstat", of_another)
+    assert cache.SceneCache(folder).load(folder / "a.scene") is None
+    assert not (tmp_path / "fired").exists()
+
+
+def _explosive(file: Path) -> None:
+    """Writes a whole cache file whose pickle makes the file ``fired`` at the top of the test's folder."""
+    top = next(folder for folder in file.parents if folder.name not in ("scenes", "gibson-sim"))
+
+    class Fires:
+        def __reduce__(self) -> tuple[object, ...]:
+            return (os.mkdir, (str(top / "fired"),))
+
+    with file.open("wb") as out:
+        cache._pack(out, (Fires(), []))
+    file.chmod(0o600)

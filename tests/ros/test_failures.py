@@ -28,11 +28,13 @@ def test_mesh_cut_in_half_is_named_in_one_line(ros_domain: int, tmp_path: Path) 
     room = write_room(tmp_path / "room", "  - {name: thing, mesh: thing.glb}\n")
     whole = write_triangle_glb(room / "thing.glb").read_bytes()
     (room / "thing.glb").write_bytes(whole[: len(whole) // 2])
-    launched = Launched("run", "--scene", str(room))
+    launched = Launched("run", "--scene", str(room), "--record", str(tmp_path / "bag"), "--reserve-mb", "10")
     assert launched.wait() == 1
     assert launched.lines[-1].startswith("error:")
     assert "thing.glb" in launched.lines[-1]
-    assert not any("Traceback" in line for line in launched.lines)
+    # Only physics speaks before its scene is taken, and nothing is recorded.
+    assert not any("Traceback" in line or line.startswith(("render", "record")) for line in launched.lines)
+    assert not (tmp_path / "bag").exists()
 
 
 def test_missing_texture_warns_and_draws(ros_domain: int, tmp_path: Path) -> None:
@@ -70,11 +72,15 @@ def test_stopped_run_ends_with_zero_and_leaves_nothing_behind(ros_domain: int, t
 
 
 def test_nodes_end_when_the_launcher_is_killed(ros_domain: int, tmp_path: Path) -> None:
-    launched = Launched("run", "--scene", str(write_room(tmp_path)))
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    launched = Launched("run", "--scene", str(write_room(tmp_path)), env={"TMPDIR": str(temporary)})
     launched.wait_for_line("triangles")
     pids = [launched.node_pid("physics"), launched.node_pid("render")]
+    assert list(temporary.glob("gibson-sim-job-*"))
     launched.stop(signal.SIGKILL)
     wait_until(lambda: not any(_alive(pid) for pid in pids), "end of the nodes")
+    assert [path.name for path in temporary.iterdir() if path.is_dir()] == []
 
 
 def test_death_of_physics_ends_the_run_and_its_shared_memory_is_cleaned_up(ros_domain: int, tmp_path: Path) -> None:
@@ -83,7 +89,7 @@ def test_death_of_physics_ends_the_run_and_its_shared_memory_is_cleaned_up(ros_d
     segments = _segments(launched.node_pid("physics"), launched.node_pid("render"))
     os.kill(launched.node_pid("physics"), signal.SIGKILL)
     assert launched.wait() == 4
-    assert any("the physics node ended with code -9" in line for line in launched.lines)
+    assert any("the physics node was killed by SIGKILL" in line for line in launched.lines)
     assert _left_behind(segments) == []
 
 

@@ -29,6 +29,7 @@ from std_msgs.msg import String  # noqa: E402
 
 from gibson_msgs.msg import TickDone  # noqa: E402
 from gibson_sim.bags.reader import BagReader  # noqa: E402
+from gibson_sim.bags.stamps import stamp_ns  # noqa: E402
 from gibson_sim.bags.writer import BagWriter  # noqa: E402
 from gibson_sim.cli.environment import PARENT_VARIABLE  # noqa: E402
 from gibson_sim.ros import qos  # noqa: E402
@@ -257,14 +258,42 @@ def test_commands_of_a_bag_drive_a_running_robot(start: Callable[..., Launched],
         bag.add_topic("/cmd_vel", "geometry_msgs/msg/Twist")
         for i in range(21):
             bag.write("/cmd_vel", serialize_message(command), i * NS // 10, i * NS // 10)
-    start("run", "--no-render", "--scene", str(write_room(tmp_path / "room")))
+    files = ("--record", str(tmp_path / "run"), "--summary", str(tmp_path / "summary.json"))
+    run = start("run", "--no-render", "--scene", str(write_room(tmp_path / "room")), *files)
     odometry = listener.collect(Odometry, "odom", DEEP)
     publisher = listener.node.create_publisher(Twist, "/cmd_vel", 10)
     listener.spin_until(lambda: bool(odometry and publisher.get_subscription_count()), "a robot")
     before = odometry[-1].pose.pose.position.x
     with BagReader(tmp_path / "bag") as reader:
         begin = time.monotonic()
-        for _, stamp_ns, data in reader.raw_messages(["/cmd_vel"]):
-            wait_until(lambda due=begin + stamp_ns / NS: time.monotonic() >= due, "time to play the next message")
+        for _, due_ns, data in reader.raw_messages(["/cmd_vel"]):
+            wait_until(lambda due=begin + due_ns / NS: time.monotonic() >= due, "time to play the next message")
             publisher.publish(bytes(data))
     listener.spin_until(lambda: odometry[-1].pose.pose.position.x > before + 0.3, "a robot that followed the bag")
+    run.stop()
+    assert last_clock_s(tmp_path / "run") == simulated_s(tmp_path / "summary.json"), "Ctrl-C ends the bag at the last step"
+
+
+def test_bag_of_a_drive_has_every_command_and_lasts_to_the_last_step(start: Callable[..., Launched], tmp_path: Path) -> None:
+    (tmp_path / "drive.txt").write_text("0.2 0.3 0.7\n0 0 0.1\n")
+    files = ("--record", str(tmp_path / "run"), "--summary", str(tmp_path / "summary.json"))
+    options = ("--scene", str(write_room(tmp_path / "room")), "--drive", str(tmp_path / "drive.txt"))
+    run = start("run", "--no-render", *options, *files)
+    assert run.wait() == 0, "\n".join(run.lines)
+    sent = int(run.wait_for_line("done after").split()[-2])
+    with BagReader(tmp_path / "run") as bag:
+        topics = bag.topics()
+    obeyed = json.loads((tmp_path / "summary.json").read_text())["physics"]["commands"]
+    assert (sent, obeyed, topics["/cmd_vel"].count, topics["/cmd_vel_applied"].count) == (sent,) * 4
+    assert sent > 20, "one for each odometry, but for those that a busy machine lets it miss"
+    assert last_clock_s(tmp_path / "run") == simulated_s(tmp_path / "summary.json")
+
+
+def last_clock_s(bag: Path) -> float:
+    with BagReader(bag) as reader:
+        return [stamp_ns(data) for _, _, data in reader.raw_messages(["/clock"])][-1] / NS
+
+
+def simulated_s(summary: Path) -> float:
+    """Returns when a run ended that began at 0."""
+    return float(json.loads(summary.read_text())["physics"]["simulation_time_s"])

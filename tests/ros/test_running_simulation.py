@@ -170,6 +170,17 @@ def test_command_that_is_not_a_number_is_refused_and_the_robot_stays(
     assert math.hypot(after.x - before.x, after.y - before.y) < 0.001
 
 
+def test_covariance_of_odometry_is_that_of_this_robot(sim: Launched, listener: Listener) -> None:
+    odometry = listener.collect(Odometry, "odom")
+    listener.spin_until(lambda: bool(odometry), "odometry")
+    pose, twist = (np.array(part.covariance).reshape(6, 6) for part in (odometry[-1].pose, odometry[-1].twist))
+    for covariance in (pose, twist):
+        assert (covariance.diagonal()[[0, 1, 5]] > 0.0).all()
+        assert (covariance.diagonal()[[2, 3, 4]] == 1e6).all()
+    # gibson_bot measures exactly: the yaw rate of one at rest is known to 1 mrad/s, not to the 10 mrad/s of any robot.
+    assert twist[5, 5] < 1e-5
+
+
 def test_robot_stops_when_commands_cease(sim: Launched, listener: Listener, control: Control) -> None:
     odometry = listener.collect(Odometry, "odom", DEEP)
     publisher = listener.node.create_publisher(Twist, "cmd_vel", 1)

@@ -125,7 +125,7 @@ def test_time_goes_on_where_it_was_when_the_pace_changes(sim: Launched, listener
 def test_impossible_pace_is_refused_and_nothing_changes(sim: Launched, listener: Listener, control: Control) -> None:
     taken, why = control.set_parameter("physics", "rate", -1.0)
     assert not taken
-    assert "'rate' is -1.0, must be 0 to 1000" in why
+    assert all(word in why for word in ("rate", "0.0", "1000.0", "-1.0")), why
     clock = listener.collect(Clock, "/clock", DEEP)
     listener.spin_until(lambda: len(clock) > 10, "time that goes on")
 

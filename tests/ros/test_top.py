@@ -14,6 +14,7 @@ from support.simulation import Listener, require
 require("rclpy", "gibson_msgs")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # noqa: E402
+from rclpy.node import Node  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -54,6 +55,26 @@ def test_one_table_shows_what_every_node_reported_and_has_no_escapes_in_a_pipe(r
     assert "simulation time 0." in lines[0]
     assert lines[2:4] == ["test: a node  WARN  is tired", "  late_ticks 17"]
     assert "\x1b" not in done.stdout
+
+
+def test_one_table_waits_for_every_node_that_reports(reporting: None, listener: Listener) -> None:
+    late = Node("late", context=listener.node.context, use_global_arguments=False)
+    publisher = late.create_publisher(DiagnosticArray, "/diagnostics", 10)
+    end = threading.Event()
+
+    def publish() -> None:
+        while not end.wait(2.5):  # slower than top looks for others
+            publisher.publish(DiagnosticArray(status=[DiagnosticStatus(name="late: a node", message="is slow")]))
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    try:
+        lines = _top("--once").stdout.splitlines()
+    finally:
+        end.set()
+        thread.join()
+        late.destroy_node()
+    assert [line for line in lines if " a node" in line] == ["late: a node  OK  is slow", "test: a node  WARN  is tired"]
 
 
 def test_topics_are_listed_with_their_types(reporting: None) -> None:

@@ -9,20 +9,23 @@ import numpy as np
 from nav_msgs.msg import Odometry as RosOdometry
 from sensor_msgs.msg import JointState
 
-from gibson_sim.ros.conversions import header_to_msg, odometry_covariances, odometry_pose, pose_to_msg, vector_to_msg
-from gibson_sim.scenes.spec import WORLD_FRAME
-from gibson_sim.types import JointStates, Odometry, Pose
+from gibson_sim.robots.odometry_errors import OdometryCovariance
+from gibson_sim.ros.conversions import header_to_msg, odometry_pose, planar_covariance, pose_to_msg, vector_to_msg
+from gibson_sim.types import WORLD_FRAME, JointStates, Odometry, Pose
 
 
-def odometry_to_msg(odometry: Odometry, stamp_ns: int, parent: str, child: str) -> RosOdometry:
-    """Returns wheel odometry: pose in ``parent``, twist in ``child``. Covariances are those of good wheels on a hard floor."""
+def odometry_to_msg(
+    odometry: Odometry, stamp_ns: int, parent: str, child: str, covariance: OdometryCovariance | None = None
+) -> RosOdometry:
+    """Returns wheel odometry: pose in ``parent``, twist in ``child``; covariances are zero unless given."""
     msg = RosOdometry(header=header_to_msg(stamp_ns, parent), child_frame_id=child)
     msg.pose.pose = pose_to_msg(odometry_pose(odometry))
     msg.twist.twist.linear.x = odometry.linear
     msg.twist.twist.linear.y = odometry.lateral
     msg.twist.twist.angular.z = odometry.angular
-    pose, twist = odometry_covariances()
-    msg.pose.covariance, msg.twist.covariance = np.array(pose), np.array(twist)
+    if covariance is not None:
+        msg.pose.covariance = np.array(planar_covariance(covariance.pose))
+        msg.twist.covariance = np.array(planar_covariance(covariance.twist))
     return msg
 
 

@@ -1,41 +1,196 @@
-"""The launch file, read without the launch package: what it names must exist."""
+"""The launch file: what it offers, what its nodes get, what it does when one of them ends."""
 
 from __future__ import annotations
 
-import ast
-import re
+import json
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
+import pytest
+
+from gibson_sim.cli.launching import CONFIGS, Plan, arguments, plan
+from gibson_sim.cli.params import allowed
 from gibson_sim.config import PhysicsConfig
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.ros import start
+from support.launching import Context, Exit, LaunchFile, Said
+
+ALL_OF_A_FILE = """
+/**:
+  ros__parameters: {seed: 3, jpeg_quality: 60, png_level: 1, other: 1}
+physics:
+  ros__parameters: {seed: 4, rate: 2, use_sim_time: false}
+sim:
+  render:
+    ros__parameters: {jpeg_quality: 70}
+/**/render:
+  ros__parameters: {png_level: 2}
+planner:
+  ros__parameters: {seeds: 3}
+"""
 
 
-def _launch_file(root: Path) -> str:
-    return (root / "src" / "gibson_sim" / "launch" / "sim.launch.py").read_text()
+@pytest.fixture
+def launch_file(root: Path, monkeypatch: pytest.MonkeyPatch) -> LaunchFile:
+    """The launch file of the simulation."""
+    return LaunchFile(root / "src" / "gibson_sim" / "launch" / "sim.launch.py", monkeypatch)
 
 
-def test_arguments_are_settings_of_the_physics_node_with_their_types_and_defaults(root: Path) -> None:
-    tree = ast.parse(_launch_file(root))
-    values = {
-        t.id: node.value for node in tree.body if isinstance(node, ast.Assign) for t in node.targets if isinstance(t, ast.Name)
-    }
-    arguments = values["ARGUMENTS"]
-    assert isinstance(arguments, ast.Tuple)
-    settings = {f.name: f.default for f in fields(PhysicsConfig)}
-    for argument in arguments.elts:
-        assert isinstance(argument, ast.Tuple)
-        name, default, kind, text = argument.elts
-        assert isinstance(kind, ast.Name)
-        setting = settings[ast.literal_eval(name)]
-        assert type(setting).__name__ == kind.id
-        assert str(setting).lower() == ast.literal_eval(default)
-        assert ast.literal_eval(text)
+@pytest.fixture
+def params_file(tmp_path: Path) -> Path:
+    """A file with parameters for several nodes in several namespaces."""
+    path = tmp_path / "params.yaml"
+    path.write_text(ALL_OF_A_FILE)
+    return path
 
 
-def test_executables_and_files_that_it_names_exist(root: Path) -> None:
-    text = _launch_file(root)
+def _parameters(given: Plan) -> dict[str, dict[str, Any]]:
+    return {start.node: start.parameters for start in given.nodes}
+
+
+def test_every_parameter_of_both_nodes_is_an_argument_with_its_meaning_and_limits(launch_file: LaunchFile) -> None:
+    declared = {action.given[0]: action.options for action in launch_file.of_kind("DeclareLaunchArgument")}
+    assert list(declared) == [argument.name for argument in arguments()]
+    settings = [(node, f) for node, cls in CONFIGS.items() for f in fields(cls)]
+    names = [f.name for _, f in settings]
+    for node, f in settings:
+        options = declared.pop(f.name if names.count(f.name) == 1 else f"{node}_{f.name}")
+        assert f.metadata["doc"] in options["description"]
+        assert f"({node} node)" in options["description"]
+        assert options["choices"] == (list(f.metadata["choices"]) or None)
+        assert options["choices"] or allowed(f) in options["description"]
+        assert options["default_value"] == (str(f.default).lower() if isinstance(f.default, bool) else str(f.default))
+    assert list(declared) == ["params_file", "namespace", "render", "use_sim_time"]
+
+
+def test_what_nobody_gave_reaches_no_node() -> None:
+    assert _parameters(plan({})) == {"physics": {}, "render": {}}
+    assert _parameters(plan({"seed": "7", "foreign": "x"})) == {"physics": {"seed": 7}, "render": {}}
+
+
+def test_defaults_given_as_text_are_the_defaults() -> None:
+    given = _parameters(plan({argument.name: argument.default for argument in arguments()}))
+    assert given["render"].pop("use_sim_time") is False
+    for node, cls in CONFIGS.items():
+        assert cls(**given[node]) == cls()
+        assert [type(value) for value in given[node].values()] == [type(f.default) for f in fields(cls)]
+
+
+def test_arguments_win_over_every_section_of_a_file_and_the_rest_of_it_stays(params_file: Path) -> None:
+    given = plan({"params_file": str(params_file), "namespace": "/sim/", "seed": "9", "jpeg_quality": "80", "rate": "max"})
+    assert given.namespace == "sim"
+    assert _parameters(given) == {"physics": {"seed": 9, "rate": 0.0}, "render": {"jpeg_quality": 80}}
+    physics, render = (json.loads(given.overriding(start)) for start in given.nodes)
+    wins = {"ros__parameters": {"seed": 9, "rate": 0.0}}
+    assert physics == {"/**": wins, "physics": wins, "sim": {"render": wins}, "/**/render": wins, "planner": wins}
+    assert render["sim"] == {"render": {"ros__parameters": {"jpeg_quality": 80}}}
+
+
+def test_file_alone_is_looked_through_before_anything_starts(params_file: Path) -> None:
+    assert _parameters(plan({"params_file": str(params_file)})) == {"physics": {}, "render": {}}
+    params_file.write_text("physics:\n  ros__parameters: {lockstep: true, participants: 'render; nav=cmd_vel after odom'}\n")
+    assert _parameters(plan({"params_file": str(params_file)}))["physics"] == {}
+
+
+def test_time_of_lockstep_waits_for_the_render_node_in_its_namespace(tmp_path: Path) -> None:
+    assert _parameters(plan({"lockstep": "true"}))["physics"] == {"lockstep": True, "participants": "render"}
+    within = _parameters(plan({"lockstep": "true", "namespace": "sim", "ros_namespace": "/a"}))
+    assert within["physics"]["participants"] == "a/sim/render"
+    assert _parameters(plan({"lockstep": "true", "participants": "nav"}))["physics"]["participants"] == "nav"
+    assert _parameters(plan({"lockstep": "true", "render": "False"})) == {"physics": {"lockstep": True}}
+    (tmp_path / "p.yaml").write_text("/**: {ros__parameters: {participants: 'render; mine', lockstep: true}}")
+    given = plan({"lockstep": "true", "params_file": str(tmp_path / "p.yaml")})
+    assert _parameters(given)["physics"]["participants"] == "render; mine"
+
+
+@pytest.mark.parametrize(
+    ("argument", "error"),
+    [
+        ("map:=onn", "setting 'map' is 'onn', must be one of auto, on, off; did you mean 'on'?"),
+        ("rate:=fast", "argument 'rate' is 'fast', must be a number, or max"),
+        ("seed:=1.5", "argument 'seed' is '1.5', must be a whole number"),
+        ("seed:=-1", "setting 'seed' is -1, must be 0 or more"),
+        ("lockstep:=maybe", "argument 'lockstep' is 'maybe', must be true or false"),
+        ("render:=", "argument 'render' is '', must be true or false"),
+        ("scene:=lindn_flat", "did you mean 'linden_flat'"),
+        ("cmd_vel_timeout:=nan", "argument 'cmd_vel_timeout' is 'nan', must be a number"),
+        ("step_hz:=100", "must divide 'step_hz', which is 100 Hz"),
+        ("params_file:=/no/such.yaml", "params_file /no/such.yaml: cannot be read: No such file"),
+    ],
+)
+def test_impossible_argument_is_refused_in_one_line(argument: str, error: str) -> None:
+    with pytest.raises(GibsonSimError) as found:
+        plan(dict([argument.split(":=")]))
+    assert error in str(found.value)
+    assert "\n" not in str(found.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("a: [", "is not YAML: line "),
+        ("", "has no parameters; it must be like"),
+        ("- a", "has no parameters"),
+        ("physics: {seed: 3}", "has no parameters"),
+        ("physics: {ros__parameters: [1]}", "physics: ros__parameters must be a list of 'name: value' lines"),
+        ("render: {ros__parameters: {jpg_quality: 3}}", "render has no parameter 'jpg_quality'; did you mean 'jpeg_quality'?"),
+        ("physics: {ros__parameters: {step_hz: 100}}", "must divide 'step_hz', which is 100 Hz"),
+        ("/**: {ros__parameters: {scene: no_such_flat}}", "scene 'no_such_flat' is not found"),
+    ],
+)
+def test_impossible_file_is_refused_in_one_line(tmp_path: Path, text: str, error: str) -> None:
+    (tmp_path / "p.yaml").write_text(text)
+    with pytest.raises(GibsonSimError) as found:
+        plan({"params_file": str(tmp_path / "p.yaml")})
+    assert error in str(found.value)
+    assert "\n" not in str(found.value)
+
+
+def test_programs_that_it_starts_exist_and_get_the_file_before_the_arguments(
+    launch_file: LaunchFile, params_file: Path, root: Path
+) -> None:
     setup = (root / "src" / "gibson_sim" / "setup.py").read_text()
-    for executable in re.findall(r'executable="(\w+)"', text):
-        assert f"{executable} = gibson_sim.ros.{executable}:main" in setup
-    for name in re.findall(r'os\.path\.join\(config, "([^"]+)"\)', text):
-        assert (root / "config" / name).is_file(), name
+    nodes = [action for action in launch_file.start(f"params_file:={params_file}", "seed:=5", "sead:=4") if action.kind == "Node"]
+    assert launch_file.warnings == ["argument 'sead' is unknown and changes nothing; did you mean 'seed'?"]
+    for node in nodes:
+        program = node.options["executable"]
+        assert f"{program} = gibson_sim.ros.start:{program}" in setup
+        assert callable(getattr(start, program))
+        assert node.options["parameters"][0] == str(params_file)
+    physics, render = nodes
+    assert json.loads(Path(physics.options["parameters"][1]).read_text())["/**"] == {"ros__parameters": {"seed": 5}}
+    assert len(render.options["parameters"]) == 1
+
+
+def _ends(started: list[Said], action: Said, code: int, context: Context) -> Any:
+    (handler,) = [each.given[0] for each in started if each.kind == "RegisterEventHandler"]
+    return handler.options["on_exit"](Exit(action, code), context)
+
+
+def test_all_ends_with_physics_and_a_renderer_that_crashes_comes_back(launch_file: LaunchFile) -> None:
+    started = launch_file.start()
+    physics, render = [action for action in started if action.kind == "Node"]
+    context = Context()
+    assert _ends(started, physics, 0, context).kind == "EmitEvent"
+    with pytest.raises(RuntimeError, match="the physics node ended with code -11, so the simulation ends"):
+        _ends(started, physics, -11, context)
+    with pytest.raises(RuntimeError, match="the render node ended with code 1, so"):
+        _ends(started, render, 1, context)
+    assert _ends(started, render, 0, context).kind == "LogInfo"
+    for _ in range(3):
+        said, render = _ends(started, render, -6, context)
+        assert (said.kind, render.kind, render.options["executable"]) == ("LogInfo", "Node", "render_node")
+    with pytest.raises(RuntimeError, match="the render node ended with code -6, so"):
+        _ends(started, render, -6, context)
+    context.is_shutdown = True
+    assert _ends(started, physics, -2, context) is None
+
+
+def test_shipped_files_hold_the_defaults(root: Path) -> None:
+    for node, cls in CONFIGS.items():
+        given = plan({"params_file": str(root / "config" / f"{node}.param.yaml")})
+        read = given.sections["/**"]["ros__parameters"]
+        known = {f.name: f.default for f in fields(cls)}
+        assert {name: value for name, value in read.items() if name not in known or known[name] != value} == {}
+    assert PhysicsConfig().scene == "linden_flat"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from gibson_sim.config import RenderConfig
@@ -23,5 +25,5 @@ def test_half_a_pair_is_refused_with_an_example(text: str) -> None:
         RenderConfig(register_depth=text)
 
 
-def test_asset_folders_are_pairs() -> None:
-    assert RenderConfig(asset_roots="/a/b=/c").asset_folders() == (("/a/b", "/c"),)
+def test_asset_folders_are_pairs(tmp_path: Path) -> None:
+    assert RenderConfig(asset_roots=f"/a/b={tmp_path}").asset_folders() == (("/a/b", str(tmp_path)),)

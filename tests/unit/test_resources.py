@@ -87,3 +87,23 @@ def test_caches_are_where_the_desktop_says(monkeypatch: pytest.MonkeyPatch) -> N
     assert cache_folder("scenes") == Path.home() / ".cache" / "gibson-sim" / "scenes"
     monkeypatch.delenv("XDG_CACHE_HOME")
     assert cache_folder("scenes") == Path.home() / ".cache" / "gibson-sim" / "scenes"
+
+
+def test_files_of_an_installation_made_of_links_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = tmp_path / "src" / "warm.yaml"
+    source.parent.mkdir()
+    source.write_text("{}")
+    presets = tmp_path / "share" / "config" / "presets"
+    presets.mkdir(parents=True)
+    (presets / "warm.yaml").symlink_to(source)
+    monkeypatch.setenv("GIBSON_SIM_PATH", str(tmp_path / "share"))
+    assert find_config("warm", "presets") == source
+
+
+def test_a_name_does_not_lead_out_of_the_folders_that_are_searched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "share" / "config" / "presets" / "inner").mkdir(parents=True)
+    (tmp_path / "secret.yaml").write_text("{}")
+    monkeypatch.setenv("GIBSON_SIM_PATH", str(tmp_path / "share"))
+    monkeypatch.chdir(tmp_path / "share")
+    with pytest.raises(ConfigError, match="is not found"):
+        find_config("inner/../../../../secret", "presets")

@@ -1,5 +1,7 @@
 """Package description, read by colcon (ament_python) and by pip. Version: also in package.xml and gibson_examples/__init__.py."""
 
+from glob import glob
+
 from setuptools import find_packages, setup
 
 NAME = "gibson_examples"
@@ -19,9 +21,15 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
         ("share/" + NAME, ["package.xml"]),
+        ("share/" + NAME + "/config", sorted(glob("config/*.yaml"))),
+        ("share/" + NAME + "/launch", sorted(glob("launch/*.launch.py"))),
     ],
     zip_safe=False,
     entry_points={
-        "console_scripts": ["navigate = gibson_examples.navigate:main", "navigation_trial = gibson_examples.trial:main"]
+        "console_scripts": [
+            "navigate = gibson_examples.navigate:main",
+            "navigation_trial = gibson_examples.trial:main",
+            "named_goals = gibson_examples.named_goals:main",
+        ]
     },
 )

@@ -2,28 +2,43 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any
 
 from gibson_sim.config import DEFAULT_SCENE, VIEWS, PhysicsConfig, RenderConfig, outputs_of, size_of
 from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
 from gibson_sim.settings import check_settings, setting
 from gibson_sim.types import OUTPUTS, Output
+
+DRIVES = ("tour", "forward", "square", "spin", "keyboard")
+"""Drives that have a name; any other is a file."""
+TASK_NAMES = ("point-goal", "push-through", "object-search", "open-door", "open-cabinet-and-fetch", "pick-and-place")
+"""Names of all tasks, as in ``tasks.registry``, which takes a second to load."""
+TIMEOUT = "Give up when no simulation is there after so long (wall time); 0 = wait on"
+_TOPIC = re.compile(r"[~/]?/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
 class DriveConfig:
     """Settings of the drive node: a client that drives the robot by standard topics."""
 
-    drive: str = setting("tour", "tour, forward, square, spin, keyboard, or a file with lines `linear angular seconds`")
-    scene: str = setting(DEFAULT_SCENE, "Scene to plan the tour in; only for tour")
-    robot: str = setting("gibson_bot", "Robot whose size the tour keeps clear; only for tour")
+    drive: str = setting(
+        "tour", "tour, forward, square, spin, keyboard, or a file with lines `linear angular seconds`", names="drive"
+    )
+    scene: str = setting(DEFAULT_SCENE, "Scene to plan the tour in; only for tour", names="scene")
+    robot: str = setting("gibson_bot", "Robot whose size the tour keeps clear; only for tour", names="robots")
     length: float = setting(
         0.0, "Length of the drive; 0 = 30 m for a tour, 2 m for forward", unit="m", minimum=0.0, maximum=10_000.0
     )
     linear: float = setting(0.4, "Greatest forward speed", unit="m/s", minimum=0.01, maximum=10.0)
     angular: float = setting(1.2, "Greatest turning speed", unit="rad/s", minimum=0.01, maximum=20.0)
     stamped: bool = setting(False, "Send TwistStamped instead of Twist")
+    subscribers: int = setting(
+        1, "Begin once so many receive the commands: the simulation, a recorder (10 s at most)", minimum=0, maximum=100
+    )
+    timeout: float = setting(0.0, TIMEOUT, unit="s", minimum=0.0)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -59,10 +74,16 @@ class RecordConfig:
     )
     reserve_mb: int = setting(256, "Stop recording, bag intact, when the disk has less than this left", unit="MB", minimum=1)
     duration: float = setting(0.0, "End after so much simulation time; 0 = never", unit="s", minimum=0.0)
+    timeout: float = setting(0.0, TIMEOUT, unit="s", minimum=0.0)
     summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
 
     def __post_init__(self) -> None:
         check_settings(self)
+        for topic in self.wanted_topics():
+            if not _TOPIC.fullmatch(topic):
+                raise ConfigError(
+                    f"setting 'topics' has {quoted(topic)}, which is no name of a topic: letters, digits, _ and /, no digit after a /"
+                )
         if self.storage == "sqlite3" and self.compression != "none":
             raise ConfigError(f"setting 'compression' is {self.compression!r}, must be 'none' where 'storage' is 'sqlite3'")
 
@@ -92,7 +113,7 @@ class RenderBagConfig:
         "",
         "Cameras to draw: a YAML file with a section `cameras` as in robot.yaml, their links `<body>/<link>`, or views; empty = the bag's own",
     )
-    views: str = setting("", VIEWS + "; they come beside the other cameras")
+    views: str = setting("", VIEWS + "; they come beside the other cameras", names="views")
     view_size: str = setting("640x480", "Width and height of views of which no file says more", unit="px")
     view_rate: float = setting(30.0, "Images a second of such views", unit="Hz", minimum=0.001, maximum=1000.0)
     outputs: str = setting(
@@ -106,10 +127,13 @@ class RenderBagConfig:
         maximum=1000.0,
     )
     interpolate: bool = setting(False, "Draw at exactly the times that the rates ask for, between recorded states too")
-    lights: str = setting("", "Other lights: a YAML file with a section `light` as in scene.yaml; empty = the bag's")
+    lights: str = setting(
+        "", "Other lights: a YAML file with a section `light` as in scene.yaml; empty = the bag's", names="file"
+    )
     randomise: str = setting(
         "",
         "Rules that change lights, colours, textures and materials: a file, or a name under config/randomisation; empty = none",
+        names="rules",
     )
     randomise_seed: int = setting(0, "Seed of the rules: same seed, same pixels", minimum=0)
     begin: float = setting(0.0, "Begin so long after the begin of the bag", unit="s", minimum=0.0)
@@ -148,6 +172,7 @@ class ReplayConfig:
     step_hz: int = setting(240, "Physics steps a second, as the simulation has them", unit="Hz", minimum=60, maximum=10_000)
     publish_hz: int = setting(60, "Ticks a second, as the simulation has them", unit="Hz", minimum=1, maximum=1000)
     summary_path: str = setting("", "File that gets a JSON summary of the replay at its end; empty = none")
+    timeout: float = setting(60.0, TIMEOUT, unit="s", minimum=0.0)
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -157,13 +182,18 @@ class ReplayConfig:
 class TaskConfig:
     """Settings of the task node: it sets up episodes of a task in a running simulation, and judges them."""
 
-    task: str = setting("point-goal", "Name of the task; `gibson-sim task --list` has them all")
+    task: str = setting("point-goal", "Name of the task; `gibson-sim task --list` says more of each", choices=TASK_NAMES)
     seed: int = setting(0, "Seed of the first episode: same seed, same episode", minimum=0)
     episodes: int = setting(1, "How many episodes, with the seeds that follow", minimum=1, maximum=1_000_000)
-    baseline: str = setting("none", "Who drives: scripted, random, or none = somebody else does; some tasks have more")
-    scene: str = setting("", "Scene that the simulation was started with; empty = that of the task")
-    robot: str = setting("", "Robot that it was started with; empty = that of the task")
+    baseline: str = setting(
+        "none",
+        "Who drives; none = another node; careful is for push-through alone",
+        choices=("scripted", "random", "none", "careful"),
+    )
+    scene: str = setting("", "Scene that the simulation was started with; empty = that of the task", names="scene")
+    robot: str = setting("", "Robot that it was started with; empty = that of the task", names="robots")
     output: str = setting("", "File that gets all results as JSON; empty = none")
+    timeout: float = setting(60.0, TIMEOUT, unit="s", minimum=0.0)
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -6,10 +6,13 @@ printed as a table by ``gibson-sim params --markdown``. An impossible value fail
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.settings import check_settings, setting
+from gibson_sim.quoting import quoted
+from gibson_sim.settings import check_settings, nearest, setting
 from gibson_sim.types import OUTPUTS, Output
 
 DETAIL_PX = 1.0
@@ -28,11 +31,14 @@ class PhysicsConfig:
     """Settings of the physics node."""
 
     scene: str = setting(
-        DEFAULT_SCENE, "Scene: a name, a folder with scene.yaml, a world file (SDF, Drake directives) or a mesh file"
+        DEFAULT_SCENE,
+        "Scene: a name, a folder with scene.yaml, a world file (SDF, Drake directives) or a mesh file",
+        names="scene",
     )
     robot: str = setting(
         "gibson_bot",
-        "Robot: a name, a folder with robot.yaml, or that file; several, each in a namespace: `left=gibson_bot,right=gibson_bot`",
+        "Robot: a name, a folder with robot.yaml, that file, or a URDF or xacro; several, each in a namespace: `left=gibson_bot,right=gibson_bot`",
+        names="robots",
     )
     start: str = setting(
         "",
@@ -78,6 +84,12 @@ class PhysicsConfig:
     cmd_vel_timeout: float = setting(
         0.5, "A velocity command older than this (simulation time) stops the robot", unit="s", minimum=0.01, maximum=60.0
     )
+    cmd_vel_type: str = setting(
+        "both",
+        "Type of `cmd_vel`: Twist, TwistStamped, or both at once, which `ros2 topic echo` and `ros2 bag record` refuse: "
+        "they have `cmd_vel_applied`; see docs/ros_interfaces.md",
+        choices=("both", "twist", "stamped"),
+    )
     publish_map_tf: bool = setting(
         False, "Publish map -> odom from ground truth: a perfect localiser. Leave it off where AMCL or SLAM runs"
     )
@@ -87,7 +99,7 @@ class PhysicsConfig:
     camera_outputs: str = setting(
         "", f"What every camera draws, separated by commas: {', '.join(OUTPUTS)}; empty = as the robot's file says"
     )
-    views: str = setting("", VIEWS + "; on topics `view_follow/image_raw` and so on")
+    views: str = setting("", VIEWS + "; on topics `view_follow/image_raw` and so on", names="views")
     view_size: str = setting("640x480", "Width and height of views of which no file says more", unit="px")
     view_rate: float = setting(30.0, "Images a second of such views", unit="Hz", minimum=0.001, maximum=1000.0)
     grasp_mode: str = setting(
@@ -129,6 +141,7 @@ class PhysicsConfig:
     randomise: str = setting(
         "",
         "Rules that change lights, colours, textures and materials: a file, or a name under config/randomisation; empty = none",
+        names="rules",
     )
     randomise_seed: int = setting(0, "Seed of the rules: same seed, same pixels", minimum=0)
     service_prefix: str = setting(
@@ -145,6 +158,7 @@ class PhysicsConfig:
         "",
         "Participants of lockstep without whom time does not begin, separated by `;`: names of those who say themselves what they have "
         "done, as `render`; or rules for others, as `follow=cmd_vel after odom` or `nav=cmd_vel every 0.05`",
+        names="participants",
     )
     participant_timeout: float = setting(
         30.0, "So long (wall time) a tick of lockstep waits for a participant", unit="s", minimum=0.01, maximum=86_400.0
@@ -154,7 +168,9 @@ class PhysicsConfig:
     )
     digests: bool = setting(False, "Publish a number of all that each tick holds, on `tick_digest`, to compare runs by")
     wait_for: str = setting(
-        "", "Hold the first tick until topics have so many subscribers, e.g. `scene_state:1,cameras:1,robots:1` (120 s at most)"
+        "",
+        "Hold the first tick until topics have so many subscribers, e.g. `scene_state:1,cameras:1,robots:1`, and each robot so many "
+        "publishers of its cmd_vel, `commands:1` (120 s at most)",
     )
     summary_path: str = setting("", "File that gets a JSON summary of the run at its end; empty = none")
 
@@ -173,7 +189,7 @@ class PhysicsConfig:
         self.wanted_view_size()
         for name in ("participants", "pipelined"):
             if getattr(self, name) and not self.lockstep:
-                raise ConfigError(f"setting {name!r} is given without 'lockstep'; set that too, or leave this out")
+                raise ConfigError(f"setting {quoted(name)} is given without 'lockstep'; set that too, or leave this out")
 
     def wanted_outputs(self) -> tuple[Output, ...]:
         """Returns the outputs in ``camera_outputs``."""
@@ -189,7 +205,7 @@ class PhysicsConfig:
         for part in filter(None, self.wait_for.split(",")):
             topic, _, count = part.partition(":")
             if not topic or not count.isdigit():
-                raise ConfigError(f"setting 'wait_for' has {part!r}, must be topic:count, e.g. scene_state:1")
+                raise ConfigError(f"setting 'wait_for' has {quoted(part)}, must be topic:count, e.g. scene_state:1")
             wanted[topic] = int(count)
         return wanted
 
@@ -199,7 +215,10 @@ def outputs_of(name: str, text: str) -> tuple[Output, ...]:
     names = [part.strip() for part in text.split(",") if part.strip()]
     unknown = [part for part in names if part not in OUTPUTS]
     if unknown:
-        raise ConfigError(f"setting {name!r} has {', '.join(unknown)}; must be of {', '.join(OUTPUTS)}")
+        hint = nearest(unknown[0], OUTPUTS)
+        raise ConfigError(
+            f"setting {quoted(name)} has {', '.join(unknown)}; must be of {', '.join(OUTPUTS)}{f'; {hint}' if hint else ''}"
+        )
     return tuple(output for output in OUTPUTS if output in names)
 
 
@@ -207,7 +226,7 @@ def size_of(name: str, text: str) -> tuple[int, int]:
     """Returns the width and the height, pixels, that a setting holds."""
     width, _, height = text.partition("x")
     if not (width.isdecimal() and height.isdecimal() and 1 <= int(width) <= 16384 and 1 <= int(height) <= 16384):
-        raise ConfigError(f"setting {name!r} is {text!r}, must be WIDTHxHEIGHT, each 1 to 16384 pixels, e.g. 640x480")
+        raise ConfigError(f"setting {quoted(name)} is {quoted(text)}, must be WIDTHxHEIGHT, each 1 to 16384 pixels, e.g. 640x480")
     return int(width), int(height)
 
 
@@ -269,18 +288,43 @@ class RenderConfig:
         """Returns the camera that each depth camera of ``register_depth`` is registered to, by name."""
         return dict(_pairs("register_depth", self.register_depth, "depth_camera=color"))
 
+    def check_cameras(self, known: Sequence[str]) -> None:
+        """Checks the names of cameras against those of a scene.
+
+        Raises:
+            ConfigError: a setting names a camera that the scene lacks.
+        """
+        registrations = self.registrations()
+        named = [("cameras", name) for name in self.wanted_cameras()]
+        named += [("register_depth", name) for name in (*registrations, *registrations.values())]
+        for setting_name, name in named:
+            if name not in known:
+                hint = nearest(name, known)
+                raise ConfigError(
+                    f"setting {quoted(setting_name)} has camera {quoted(name)}; {f'{hint} ' if hint else ''}the scene has: "
+                    f"{', '.join(known) or 'none'}"
+                )
+
     def asset_folders(self) -> tuple[tuple[str, str], ...]:
-        """Returns the pairs of ``asset_roots``."""
-        return _pairs("asset_roots", self.asset_roots, "/there/scenes=/here/scenes")
+        """Returns the pairs of ``asset_roots``: absolute folders of the physics machine, and folders of this one."""
+        pairs = _pairs("asset_roots", self.asset_roots, "/there/scenes=/here/scenes")
+        for there, here in pairs:
+            if not there.startswith("/"):
+                raise ConfigError(f"setting 'asset_roots' has {quoted(there)}, must be an absolute folder of the physics machine")
+            if not Path(here).expanduser().is_dir():
+                raise ConfigError(f"setting 'asset_roots' maps {there} to {quoted(here)}, which is not a folder of this machine")
+        return tuple((there, str(Path(here).expanduser())) for there, here in pairs)
 
 
 def _pairs(name: str, text: str, example: str) -> tuple[tuple[str, str], ...]:
     """Returns what stands left and right of the equals signs of a setting."""
-    found = []
+    found: list[tuple[str, str]] = []
     for part in (part.strip() for part in text.split(",")):
         left, equals, right = (word.strip() for word in part.partition("="))
-        if part and not (left and equals and right):
-            raise ConfigError(f"setting {name!r} has {part!r}, must be pairs separated by commas, e.g. {example}")
+        if part and (not (left and equals and right) or "=" in right):
+            raise ConfigError(f"setting {quoted(name)} has {quoted(part)}, must be pairs separated by commas, e.g. {example}")
+        if any(left == other for other, _ in found):
+            raise ConfigError(f"setting {quoted(name)} has {quoted(left)} twice; it can stand left of one equals sign only")
         if part:
             found.append((left, right))
     return tuple(found)

@@ -1,6 +1,7 @@
 """The errors that this package raises on purpose.
 
     GibsonSimError                 catch this one; its text is one line, fit for a user
+      TextError                    a text is no YAML or no XML, or too large
       ConfigError                  a setting has an impossible value
       SceneError                   a scene cannot be loaded
         SceneNotFoundError         nothing is there, or nothing that we can read
@@ -16,19 +17,37 @@
         SceneMismatchError         a state belongs to another scene than the one loaded
       scanning.posed_rgbd.ScanError images of a scan cannot be read, written or fused
       RecordError                  a bag cannot be written or read
-        bags.writer.DiskFullError  the disk is full; the bag holds everything up to there
+        bags.room.DiskFullError    the disk is full; the bag holds everything up to there
+      WriteError                   a file cannot be written
       EnvironmentProblemError      ROS, Python or the machine lacks something; the text names the remedy
       AlreadyRunningError          another simulation owns this ROS domain
       LockstepError                a participant of lockstep is gone, or hangs
 
-Messages say what, which value, what is allowed and what to do. Nothing here imports anything.
+Messages say what, which value, what is allowed and what to do. They may quote a file; ``public`` never does. Nothing here imports
+anything of this package.
 """
 
 from __future__ import annotations
 
+from typing import TypeVar
+
+_Error = TypeVar("_Error", bound="GibsonSimError")
+
 
 class GibsonSimError(Exception):
     """Base of every error that this package raises on purpose."""
+
+    public = ""
+    """What a client may be told who may not see the files that the message quotes, nor where they lie; empty = nothing."""
+
+    def telling(self: _Error, public: str) -> _Error:
+        """Returns the error itself, which now tells clients ``public``."""
+        self.public = public
+        return self
+
+
+class TextError(GibsonSimError):
+    """A text is not what it should be: no YAML, no XML, or more of it than is read."""
 
 
 class ConfigError(GibsonSimError):
@@ -77,6 +96,10 @@ class SceneMismatchError(RenderError):
 
 class RecordError(GibsonSimError):
     """A bag cannot be written or read."""
+
+
+class WriteError(GibsonSimError):
+    """A file cannot be written: the disk is full, the folder may not be written."""
 
 
 class EnvironmentProblemError(GibsonSimError):

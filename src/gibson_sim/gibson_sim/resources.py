@@ -15,6 +15,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from gibson_sim.errors import ConfigError, GibsonSimError, RobotError, SceneNotFoundError
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import exists, is_file, is_folder
 
 PACKAGE = "gibson_sim"
 PATH_VARIABLE = "GIBSON_SIM_PATH"
@@ -28,11 +30,11 @@ def share_folders() -> tuple[Path, ...]:
     candidates = [Path(entry).expanduser() for entry in os.environ.get(PATH_VARIABLE, "").split(":") if entry]
     candidates += [Path(entry) / "share" / PACKAGE for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if entry]
     candidates.append(Path(sys.prefix) / "share" / PACKAGE)
-    candidates += [p for p in Path(__file__).resolve().parents if (p / "config").is_dir() and (p / "scenes").is_dir()]
+    candidates += [p for p in Path(__file__).resolve().parents if is_folder(p / "config") and is_folder(p / "scenes")]
     found: list[Path] = []
     for folder in candidates:
         # The package itself holds a Python package `scenes`: it has no `config` beside it, but be sure.
-        if folder.is_dir() and not (folder / "__init__.py").exists() and folder not in found:
+        if is_folder(folder) and not exists(folder / "__init__.py") and folder not in found:
             found.append(folder)
     return tuple(found)
 
@@ -62,10 +64,10 @@ def find_config(name_or_path: str | Path, kind: str = "") -> Path:
     """
     folders = tuple(share / "config" / kind for share in share_folders())
     path = _find(
-        name_or_path, folders, _CONFIG_SUFFIXES, ConfigError, f"configuration of kind {kind!r}" if kind else "configuration"
+        name_or_path, folders, _CONFIG_SUFFIXES, ConfigError, f"configuration of kind {quoted(kind)}" if kind else "configuration"
     )
-    if not path.is_file():
-        raise ConfigError(f"configuration {str(name_or_path)!r}: {path} is not a file")
+    if not is_file(path):
+        raise ConfigError(f"configuration {quoted(str(name_or_path))}: {path} is not a file")
     return path
 
 
@@ -83,8 +85,8 @@ def known_scenes() -> dict[str, Path]:
     """Returns the folder of every scene that can be named, by name."""
     found: dict[str, Path] = {}
     for folder in _folders("scenes"):
-        for entry in sorted(folder.iterdir()) if folder.is_dir() else ():
-            if (entry / "scene.yaml").is_file():
+        for entry in sorted(folder.iterdir()) if is_folder(folder) else ():
+            if is_file(entry / "scene.yaml"):
                 found.setdefault(entry.name, entry)
     return found
 
@@ -113,25 +115,27 @@ def _find(
     # A bare name is a name first: a folder of that name in the current directory must not hide an installed scene.
     is_path = path.is_absolute() or text.startswith(("./", "../", "~")) or text in (".", "..")
     if is_path:
-        if path.exists():
+        if exists(path):
             return path.resolve()
-        raise error(f"{what} {text!r}: there is nothing at {path.resolve()}")
+        raise error(f"{what} {quoted(text)}: there is nothing at {path.resolve()}")
     for folder in folders:
         for suffix in suffixes or ("",):
             candidate = folder / (text + suffix)
-            if candidate.exists() and candidate.resolve().is_relative_to(folder.resolve()):
+            # The name must not lead out of the folder; a link in it may: an installation can be made of links.
+            if exists(candidate) and Path(os.path.normpath(candidate)).is_relative_to(os.path.normpath(folder)):
                 return candidate.resolve()
-    if path.exists():
+    if exists(path):
         return path.resolve()
     known = sorted(set(_names(folders)))
     near = difflib.get_close_matches(text, known, n=1, cutoff=0.5)
     looked = ", ".join([str(Path.cwd()), *map(str, folders)])
-    hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known[:20])}" if known else f"set {PATH_VARIABLE}"
-    raise error(f"{what} {text!r} is not found; {hint} (looked in {looked})")
+    guess = f"did you mean {quoted(near[0])}? " if near else ""
+    hint = f"{guess}known: {', '.join(known[:20])}" if known else f"set {PATH_VARIABLE}"
+    raise error(f"{what} {quoted(text)} is not found; {hint} (looked in {looked})")
 
 
 def _names(folders: Sequence[Path]) -> Iterator[str]:
     for folder in folders:
-        for entry in folder.iterdir() if folder.is_dir() else ():
+        for entry in folder.iterdir() if is_folder(folder) else ():
             if not entry.name.startswith((".", "_")) and entry.name != _OBJECTS:
-                yield entry.name.split(".")[0] if entry.is_file() else entry.name
+                yield entry.name.split(".")[0] if is_file(entry) else entry.name

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import difflib
 import math
+from collections.abc import Sequence
 from dataclasses import Field, field, fields
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
 
 Value = bool | int | float | str
+Names = Literal["", "scene", "robots", "drive", "rules", "views", "file", "participants"]
+"""What the text of a setting names; "" = nothing that could be looked up."""
 
 
 class Settings(Protocol):
@@ -25,11 +30,15 @@ def setting(
     minimum: float = -math.inf,
     maximum: float = math.inf,
     choices: tuple[str, ...] = (),
+    names: Names = "",
 ) -> Any:
-    """Returns a dataclass field with its default, meaning, unit and limits; the type of the default is the field's type."""
+    """Returns a dataclass field with its default, meaning, unit and limits; the type of the default is the field's type.
+
+    ``names``: what its text names, which the command line looks up before anything starts; an empty text names nothing.
+    """
     return field(
         default=default,
-        metadata={"doc": doc, "unit": unit, "minimum": minimum, "maximum": maximum, "choices": choices},
+        metadata={"doc": doc, "unit": unit, "minimum": minimum, "maximum": maximum, "choices": choices, "names": names},
     )
 
 
@@ -40,15 +49,32 @@ def check_settings(settings: Settings) -> None:
         ConfigError: naming the field, its value and what is allowed.
     """
     for f in fields(settings):
-        value, what = getattr(settings, f.name), f"setting {f.name!r}"
+        value, what = getattr(settings, f.name), f"setting {quoted(f.name)}"
         wanted = type(f.default)
         if wanted is float and type(value) is int:
             value = float(value)
             object.__setattr__(settings, f.name, value)
         if type(value) is not wanted:
-            raise ConfigError(f"{what} is {value!r} ({type(value).__name__}), must be of type {wanted.__name__}")
+            raise ConfigError(f"{what} is {quoted(value)} ({type(value).__name__}), must be of type {wanted.__name__}")
         if isinstance(value, (int, float)) and not f.metadata["minimum"] <= value <= f.metadata["maximum"]:
-            limits = f"{f.metadata['minimum']:g} to {f.metadata['maximum']:g} {f.metadata['unit']}".strip()
-            raise ConfigError(f"{what} is {value!r}, must be {limits}")
+            raise ConfigError(f"{what} is {quoted(value)}, must be {limits_of(f)}")
         if f.metadata["choices"] and value not in f.metadata["choices"]:
-            raise ConfigError(f"{what} is {value!r}, must be one of {', '.join(f.metadata['choices'])}")
+            hint = nearest(str(value), f.metadata["choices"])
+            raise ConfigError(
+                f"{what} is {quoted(value)}, must be one of {', '.join(f.metadata['choices'])}{f'; {hint}' if hint else ''}"
+            )
+
+
+def limits_of(f: Field[Any]) -> str:
+    """Returns what numbers a setting may have, with their unit, in words; only the unit where any may be."""
+    low, high, unit = f.metadata["minimum"], f.metadata["maximum"], f.metadata["unit"]
+    if math.isinf(low) and math.isinf(high):
+        return str(unit)
+    limits = f"{low:g} to {high:g}" if not math.isinf(high) else f"{low:g} or more"
+    return f"{limits} {unit}".strip()
+
+
+def nearest(text: str, known: Sequence[str]) -> str:
+    """Returns ``did you mean 'x'?`` with the one of ``known`` that is most like a text; empty where none is."""
+    found = difflib.get_close_matches(text, known, n=1, cutoff=0.5)
+    return f"did you mean {quoted(found[0])}?" if found else ""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import CommandError, ConfigError
+from gibson_sim.quoting import quoted
 
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
@@ -123,6 +124,10 @@ class DepthNoise:
         check_seed("depth_noise", self.seed)
 
 
+WORLD_FRAME = "map"
+"""Name of the world frame (REP 105); the link of cameras that are fixed to the world."""
+
+
 @dataclass(frozen=True, slots=True)
 class CameraSpec:
     """A camera fixed to a robot link. The camera frame is optical (REP 103): x right, y down, z forward."""
@@ -130,7 +135,7 @@ class CameraSpec:
     name: str
     """Name of the camera: its topics live under it, and its frame is ``<name>_optical_frame``."""
     link: str
-    """Link that it is fixed to, as named in ``SceneState.links``: ``<body>/<link>``."""
+    """Link that it is fixed to, as named in ``SceneState.links``: ``<body>/<link>``; "map" or empty = the world, and kept as empty."""
     pose: Pose = field(default_factory=Pose)
     """T_link_optical."""
     width: int = 640
@@ -165,7 +170,9 @@ class CameraSpec:
     """The tf frame of its images; empty = ``<name>_optical_frame``."""
 
     def __post_init__(self) -> None:
-        what = f"camera {self.name!r}"
+        what = f"camera {quoted(self.name)}"
+        if self.link == WORLD_FRAME:
+            object.__setattr__(self, "link", "")
         if not (1 <= self.width <= 16384 and 1 <= self.height <= 16384):
             raise ConfigError(f"{what}: image size is {self.width}x{self.height}, each side must be 1 to 16384 pixels")
         if not 0.0 < self.fov_y < math.pi:
@@ -181,7 +188,7 @@ class CameraSpec:
 
     def _check_optics(self, what: str) -> None:
         if self.projection not in DISTORTIONS:
-            raise ConfigError(f"{what}: projection is {self.projection!r}, must be one of {', '.join(DISTORTIONS)}")
+            raise ConfigError(f"{what}: projection is {quoted(self.projection)}, must be one of {', '.join(DISTORTIONS)}")
         if self.matrix is not None:
             self._check_matrix(what, self.matrix)
         models = DISTORTIONS[self.projection]

@@ -1,58 +1,81 @@
-"""Starts the physics node and the render node: ros2 launch gibson_sim sim.launch.py scene:=linden_flat rate:=1.0"""
+"""Starts the simulation: ros2 launch gibson_sim sim.launch.py scene:=linden_flat rate:=2.0
 
+Every parameter of the physics and the render node is an argument (--show-args lists them); params_file:=FILE.yaml gives many at once.
+"""
+
+import atexit
 import os
+import shutil
+import tempfile
 
-from ament_index_python.packages import get_package_share_directory
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler, SetEnvironmentVariable
+from launch import LaunchDescription, logging
+from launch.actions import DeclareLaunchArgument, EmitEvent, LogInfo, OpaqueFunction, RegisterEventHandler, SetEnvironmentVariable
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
-from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
-ARGUMENTS = (
-    ("scene", "linden_flat", str, "scene: a name, a folder, a world file or a mesh file"),
-    ("robot", "gibson_bot", str, "robot: a name, a folder or a robot.yaml; several: left=gibson_bot,right=gibson_bot"),
-    ("start", "", str, "where the robot starts: a name or x,y,yaw_deg; several: separated by ;"),
-    ("robot_tf", "namespaced", str, "several robots: namespaced or prefixed transforms"),
-    ("rate", "1.0", float, "speed of simulation time; 0.0 = as fast as possible"),
-    ("start_paused", "false", bool, "time stands still until the simulation is set to playing"),
-    ("reset_time", "rewind", str, "what a reset does to /clock: rewind or monotonic"),
-    ("map", "auto", str, "publish the floor's occupancy grid: auto, on or off"),
-    ("publish_map_tf", "false", bool, "publish map -> odom from ground truth"),
-    ("views", "", str, "cameras on no robot: follow, orbit, top, or a YAML file of them; several: separated by commas"),
-    ("view_size", "640x480", str, "width and height of views"),
-    ("view_rate", "30.0", float, "images a second of views"),
-)
+from gibson_sim.cli.environment import ros_variables
+from gibson_sim.cli.job import MAX_RESTARTS, RESTART_WINDOW_S, USER_ERROR
+from gibson_sim.cli.launching import arguments, misspelt, plan
+from gibson_sim.cli.restarts import Restarts
 
 
 def generate_launch_description():
-    share = get_package_share_directory("gibson_sim")
-    config = os.path.join(share, "config")
-    overrides = {name: ParameterValue(LaunchConfiguration(name), value_type=kind) for name, _, kind, _ in ARGUMENTS}
-    physics = Node(
-        package="gibson_sim",
-        executable="physics_node",
-        parameters=[os.path.join(config, "physics.param.yaml"), overrides],
-        output="screen",
-    )
-    render = Node(
-        package="gibson_sim",
-        executable="render_node",
-        parameters=[os.path.join(config, "render.param.yaml")],
-        output="screen",
-    )
+    known = arguments()
     return LaunchDescription(
         [
-            *[DeclareLaunchArgument(name, default_value=default, description=text) for name, default, _, text in ARGUMENTS],
-            SetEnvironmentVariable(
-                "FASTRTPS_DEFAULT_PROFILES_FILE",
-                os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE", os.path.join(config, "fastdds.xml")),
-            ),
-            physics,
-            render,
-            # Time ends with the physics node: what is left would wait for a clock that stands still.
-            RegisterEventHandler(OnProcessExit(target_action=physics, on_exit=[EmitEvent(event=Shutdown())])),
+            # Before the arguments are declared, those alone have a value that somebody gave: the others shall not win over params_file.
+            OpaqueFunction(function=_start),
+            *[
+                DeclareLaunchArgument(a.name, default_value=a.default, description=a.description, choices=list(a.choices) or None)
+                for a in known
+            ],
         ]
     )
+
+
+def _start(context):
+    """Starts the nodes with what was given."""
+    for warning in misspelt([text.partition(":=")[0] for text in context.argv]):
+        logging.get_logger("gibson_sim").warning(warning)
+    given = plan(context.launch_configurations)
+    folder = tempfile.mkdtemp(prefix="gibson_sim_launch_")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+
+    def node(start):
+        file = os.path.join(folder, f"{start.node}.yaml")
+        with open(file, "w") as out:
+            out.write(given.overriding(start))
+        return Node(
+            package="gibson_sim",
+            executable=f"{start.node}_node",
+            namespace=given.namespace,
+            parameters=[*([str(given.params_file)] if given.params_file else []), *([file] if start.parameters else [])],
+            output="screen",
+        )
+
+    starts = {start.node: start for start in given.nodes}
+    running = {name: node(start) for name, start in starts.items()}
+    restarts = Restarts(MAX_RESTARTS, RESTART_WINDOW_S)
+
+    def on_exit(event, context):
+        name = next((name for name, action in running.items() if action is event.action), None)
+        if name is None or context.is_shutdown:
+            return None
+        if name == "physics" and event.returncode == 0:
+            return EmitEvent(event=Shutdown(reason="the simulation is over"))
+        if name == "render" and event.returncode == 0:
+            return LogInfo(msg="the render node has ended; the simulation goes on without images")
+        if name == "render" and event.returncode != USER_ERROR and restarts.allow():
+            running[name] = node(starts[name])
+            return [LogInfo(msg="the render node crashed; starting it again"), running[name]]
+        # Time ends with the physics node, and a renderer that cannot work will not do so the next time. An error makes launch end with code 1.
+        raise RuntimeError(
+            f"the {name} node ended with code {event.returncode}, so the simulation ends; see above for its reason"
+        )
+
+    return [
+        *[SetEnvironmentVariable(name, value) for name, value in ros_variables(os.environ).items()],
+        RegisterEventHandler(OnProcessExit(on_exit=on_exit)),
+        *running.values(),
+    ]

@@ -14,7 +14,7 @@ from gibson_sim.bags.writer import BagWriter
 from gibson_sim.errors import RecordError
 
 NS = 1_000_000_000
-TWIST = "geometry_msgs/msg/Twist"
+TWIST, STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 SET_STATE = "simulation_interfaces/srv/SetSimulationState"
 STOP, PLAY = b"\x00\x01\x00\x00\x00", b"\x00\x01\x00\x00\x01"
 
@@ -66,9 +66,14 @@ class Bags:
         )  # fmt: skip
 
     def twist(self, topic: str, ns: int, linear: float) -> None:
+        self.write(topic, TWIST, self._messages.cdr(self._twist(linear)), ns)
+
+    def stamped(self, topic: str, ns: int, linear: float) -> None:
+        self.take(STAMPED, topic, ns, twist=self._twist(linear))
+
+    def _twist(self, linear: float) -> Any:
         vector = self._types["geometry_msgs/msg/Vector3"]
-        twist = self._types[TWIST](linear=vector(x=linear, y=0.0, z=0.0), angular=vector(x=0.0, y=0.0, z=0.0))
-        self.write(topic, TWIST, self._messages.cdr(twist), ns)
+        return self._types[TWIST](linear=vector(x=linear, y=0.0, z=0.0), angular=vector(x=0.0, y=0.0, z=0.0))
 
 
 def test_settings_journal_and_digests_of_a_run_are_read(messages: Any, tmp_path: Path) -> None:
@@ -126,6 +131,20 @@ def test_commands_without_a_journal_become_inputs_at_the_steps_of_their_times(me
         (240, "/left/cmd_vel"),
     ]
     assert run.end(240, 60) == (0, 240)
+
+
+def test_commands_that_a_recorder_left_out_are_taken_from_what_was_applied(messages: Any, tmp_path: Path) -> None:
+    with Bags(messages, tmp_path / "bag") as bag:
+        bag.stamped("/left/cmd_vel_applied", 0, 0.1)
+        bag.stamped("/left/cmd_vel_applied", NS, 0.2)
+        bag.twist("/right/cmd_vel", NS, 0.3)
+        bag.stamped("/right/cmd_vel_applied", NS, 0.3)
+    assert read_facts(bag.folder).has_commands
+    assert [(command.time_ns, command.name, command.type_name) for command in read_run(bag.folder).commands] == [
+        (0, "/left/cmd_vel", STAMPED),
+        (NS, "/left/cmd_vel", STAMPED),
+        (NS, "/right/cmd_vel", TWIST),
+    ]
 
 
 def test_time_of_commands_begins_at_the_first_clock(messages: Any, tmp_path: Path) -> None:

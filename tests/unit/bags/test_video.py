@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import resource
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -146,12 +149,42 @@ def _codec(path: Path) -> str:
     return code.to_bytes(4, "little").decode()
 
 
-def test_missing_folder_is_an_error(write_images: Callable[..., Path], tmp_path: Path) -> None:
-    folder = write_images({0: RED})
-    with pytest.raises(RecordError, match="its folder does not exist"):
-        write_video(folder, tmp_path / "none" / "a.mp4")
-    with pytest.raises(RecordError, match="cannot be written"):
-        write_contact_sheet(folder, tmp_path / "none" / "a.png")
+def test_folder_of_a_video_is_made(write_images: Callable[..., Path], tmp_path: Path) -> None:
+    assert write_video(write_images({0: RED}), tmp_path / "new" / "a.mp4").stat().st_size > 0
+
+
+# The head of the file, its images, and its index, which is put before them last.
+@pytest.mark.parametrize("limit", [0, 700, 1100])
+def test_full_disk_ends_a_video_in_one_line(write_images: Callable[..., Path], tmp_path: Path, limit: int) -> None:
+    folder = write_images({tick: RED for tick in range(10)})
+    whole = write_video(folder, tmp_path / "whole.mp4").stat().st_size
+    assert whole > limit
+    (tmp_path / "out").mkdir()
+    # In a process of its own: FFmpeg ended it with SIGSEGV where it could not write the head.
+    command = [sys.executable, "-m", "gibson_sim.cli.main", "bag", "video", str(folder), str(tmp_path / "out/a.mp4")]
+    done = subprocess.run(
+        command,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1, (done.returncode, done.stderr)
+    assert done.stderr.startswith(f"gibson-sim: error: cannot write {tmp_path / 'out/a.mp4'}: File too large")
+    assert done.stderr.count("\n") == 1
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_size_that_changes_leaves_no_video(messages: Any, tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", reserve_bytes=0) as bag:
+        bag.add_topic("/image", "sensor_msgs/msg/Image")
+        for number, width in enumerate((64, 80)):
+            bag.write(
+                "/image", messages.image(number * TICK, np.zeros((48, width, 3), np.uint8), "bgr8"), number * TICK, number * TICK
+            )
+    with pytest.raises(RecordError, match="changes its size to 80x48"):
+        write_video(tmp_path / "bag", tmp_path / "out/a.mp4")
+    assert list((tmp_path / "out").iterdir()) == []
 
 
 def test_depth_scale_is_fixed_near_is_red_and_nothing_is_black() -> None:

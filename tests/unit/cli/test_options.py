@@ -24,8 +24,8 @@ def test_options_that_are_not_given_leave_the_defaults() -> None:
 
 
 def test_options_reach_the_settings_with_their_types() -> None:
-    config = settings_from_args(PhysicsConfig, _parse("--scene", "x y", "--rate", "max", "--step-hz", "480", "--publish-map-tf"))
-    assert (config.scene, config.rate, config.step_hz, config.publish_map_tf) == ("x y", 0.0, 480, True)
+    config = settings_from_args(PhysicsConfig, _parse("--scene", "flat", "--rate", "max", "--step-hz", "480", "--publish-map-tf"))
+    assert (config.scene, config.rate, config.step_hz, config.publish_map_tf) == ("flat", 0.0, 480, True)
 
 
 def test_impossible_option_fails_in_the_words_of_the_settings() -> None:

@@ -1,4 +1,4 @@
-"""Locks, leftovers and exit codes of the launcher."""
+"""Leftovers and exit codes of the launcher."""
 
 from __future__ import annotations
 
@@ -12,24 +12,6 @@ import pytest
 
 from gibson_sim.cli import shared_memory
 from gibson_sim.cli.shared_memory import remove_dead_segments
-from gibson_sim.errors import AlreadyRunningError
-from gibson_sim.simulation.domain_lock import DomainLock
-
-
-def test_second_simulation_in_a_domain_is_refused_and_told_what_to_do(tmp_path: Path) -> None:
-    first = DomainLock(7, tmp_path)
-    with pytest.raises(
-        AlreadyRunningError, match=r"runs in ROS domain 7 already \(process \d+\): stop it, or choose another domain"
-    ):
-        DomainLock(7, tmp_path)
-    first.close()
-    DomainLock(7, tmp_path).close()
-
-
-def test_other_domain_is_free(tmp_path: Path) -> None:
-    locks = [DomainLock(7, tmp_path), DomainLock(8, tmp_path)]
-    for lock in locks:
-        lock.close()
 
 
 def test_dead_segments_go_and_living_ones_stay(tmp_path: Path) -> None:
@@ -44,6 +26,20 @@ def test_dead_segments_go_and_living_ones_stay(tmp_path: Path) -> None:
         remove_dead_segments(tmp_path)
         # The lock file of a port is used again by the next who opens that port.
         assert {p.name for p in tmp_path.iterdir()} == {*alive, "fastrtps_port7001_el", "somebody_else_el"}
+
+
+def test_folders_and_links_of_such_names_are_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shared_memory, "SETTLED_S", 0.0)
+    precious = tmp_path / "precious"
+    precious.write_text("to be kept")
+    for name in ("fastrtps_port7001", "fastrtps_port7002_el"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "fastrtps_port7003_el").symlink_to("fastrtps_port7003_el")
+    (tmp_path / "fastrtps_planted_el").symlink_to(precious)
+    before = sorted(tmp_path.iterdir())
+    assert remove_dead_segments(tmp_path) == []
+    assert sorted(tmp_path.iterdir()) == before
+    assert precious.read_text() == "to be kept"
 
 
 def test_port_that_somebody_writes_to_stays_until_it_is_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gibson_examples import __version__
 
-WITH_ROS = {"conversions.py", "node.py", "navigate.py", "trial.py"}
+WITH_ROS = {"conversions.py", "node.py", "navigate.py", "named_goals.py", "trial.py"}
 
 
 def _imported(file: Path) -> set[str]:

@@ -181,7 +181,7 @@ def test_a_buffer_outside_the_folder_is_refused(tmp_path: Path, capsys: pytest.C
     (tmp_path / "in").mkdir()
     gltf.document["buffers"] = [{"byteLength": len(gltf.chunk), "uri": "../secret.bin"}]
     (tmp_path / "in" / "a.gltf").write_text(json.dumps(gltf.document))
-    assert "lies outside the scene's folder" in _import_error(tmp_path / "in" / "a.gltf", tmp_path / "out", capsys)
+    assert "lies outside the folder of the mesh" in _import_error(tmp_path / "in" / "a.gltf", tmp_path / "out", capsys)
 
 
 def test_a_link_that_leaves_the_folder_is_refused(tmp_path: Path) -> None:
@@ -197,7 +197,7 @@ def test_a_texture_outside_the_folder_is_not_read(tmp_path: Path) -> None:
     (tmp_path / "secret.png").write_bytes((tmp_path / "Tiny" / "atlas.png").read_bytes())
     (tmp_path / "Tiny" / "mesh_z_up.mtl").write_text("newmtl scan\nmap_Kd ../secret.png\n")
     imported = import_scene(tmp_path / "Tiny", tmp_path / "out")
-    assert any("lies outside the scene's folder" in warning for warning in imported.warnings)
+    assert any("lies outside the folder of the mesh" in warning for warning in imported.warnings)
     assert not any("secret" in name for name in _everything(tmp_path / "out"))
 
 

@@ -181,22 +181,6 @@ def test_colours_of_hm3d_say_which_object_is_which(tmp_path: Path) -> None:
     assert sorted(v.name for v in scene.visuals) == ["floor_1", "wall_2"]
 
 
-def test_basis_textures_are_refused_with_advice(tmp_path: Path) -> None:
-    gltf = Gltf().triangle()
-    gltf.document["extensionsRequired"] = ["KHR_texture_basisu"]
-    (tmp_path / "a.basis.glb").write_bytes(gltf.glb())
-    with pytest.raises(SceneError, match=r"KHR_texture_basisu.*export"):
-        import_scene(tmp_path / "a.basis.glb", tmp_path / "out")
-
-
-def test_draco_is_refused_with_advice(tmp_path: Path) -> None:
-    gltf = Gltf().triangle()
-    gltf.document["extensionsRequired"] = ["KHR_draco_mesh_compression"]
-    (tmp_path / "a.glb").write_bytes(gltf.glb())
-    with pytest.raises(SceneError, match=r"KHR_draco_mesh_compression.*export"):
-        import_scene(tmp_path / "a.glb", tmp_path / "out")
-
-
 # Plain meshes
 
 

@@ -12,6 +12,7 @@ from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.mesh import load_mesh
 from gibson_sim.scenes.spawning import load_spawnable
 from gibson_sim.types import Pose
+from support.gltf import png
 from support.interiors import room, write_obj
 
 DAE = """<?xml version="1.0"?>
@@ -64,3 +65,24 @@ def test_a_urdf_may_hold_expressions_where_nothing_reads_them(tmp_path: Path) ->
     (tmp_path / "husky.urdf").write_text(text)
     body = load_spawnable(str(tmp_path / "husky.urdf"), "", name="husky", pose=Pose(), roots=())
     assert body.name == "husky"
+
+
+@pytest.mark.parametrize("texture", ["../materials/textures/red.png", "../Materials/Textures/Red.PNG", "red.png"])
+def test_a_mesh_of_a_model_of_gazebo_keeps_its_textures_when_it_is_imported_by_file(tmp_path: Path, texture: str) -> None:
+    model = tmp_path / "desk"
+    (model / "meshes").mkdir(parents=True)
+    (model / "materials" / "textures").mkdir(parents=True)
+    (model / "materials" / "textures" / "red.png").write_bytes(png((255, 0, 0)))
+    write_obj(model / "meshes" / "desk.obj", *room())
+    obj = model / "meshes" / "desk.obj"
+    obj.with_name("desk.mtl").write_text(f"newmtl red\nmap_Kd {texture}\n")
+    obj.write_text("mtllib desk.mtl\nusemtl red\n" + obj.read_text())
+    copied = import_scene(obj, tmp_path / "out")
+    assert (copied.warnings, (tmp_path / "out/assets/materials/textures/red.png").is_file()) == ((), True)
+    beside = import_scene(obj, None)
+    assert (beside.warnings, beside.file) == ((), model / "scene.yaml")
+
+
+def test_a_mesh_whose_name_differs_in_case_alone_is_found(tmp_path: Path) -> None:
+    scene = load_scene(_world(tmp_path, _model("model://Room/Meshes/ROOM.obj", "room")))
+    assert [visual.name for visual in scene.visuals] == ["room"]

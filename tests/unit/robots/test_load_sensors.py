@@ -53,9 +53,9 @@ def test_defaults_are_those_of_the_specs(load: Load) -> None:
 def test_every_key_arrives(load: Load) -> None:
     got = load(
         "lidar: {name: front/scan, link: eye, beams: 91, angle_min_deg: 30, fov_deg: 90, range_min: 0.2, range_max: 8, rate_hz: 5,"
-        " range_noise: 0.01, resolution: 0.002, dropout: 0.1, seed: 3}\n"
+        " range_noise: 0.01, range_noise_ratio: 0.02, range_scale: 0.03, resolution: 0.002, dropout: 0.1, seed: 3}\n"
         "lidar_3d: {name: velodyne, link: eye, channels: 32, samples: 1800, elevation_min_deg: -30, elevation_max_deg: 10, range_min: 1,"
-        " range_max: 80, rate_hz: 20, range_noise: 0.03, resolution: 0.004, dropout: 0.2, seed: 4}\n"
+        " range_max: 80, rate_hz: 20, range_noise: 0.03, range_noise_ratio: 0.04, range_scale: 0.05, resolution: 0.004, dropout: 0.2, seed: 4}\n"
         "imu: {name: imu/data_raw, link: plate, rate_hz: 200, gyro_noise: 1, accel_noise: 2, gyro_bias: 3, accel_bias: 4,"
         " gyro_bias_walk: 5, accel_bias_walk: 6, orientation: false, seed: 5}\n"
         "bumper: {name: hit, link: plate, links: [arm], threshold: 7, max_slope_deg: 30, rate_hz: 50}\n"
@@ -65,9 +65,11 @@ def test_every_key_arrives(load: Load) -> None:
         " alpha2: 0.2, alpha3: 0.3, alpha4: 0.4, seed: 6}\n"
     )
     rad = math.radians
-    assert got.lidars == (LidarSpec("bob/eye", 91, 0.2, 8.0, 5.0, "front/scan", rad(30), rad(90), 0.01, 0.002, 0.1, 3),)
+    assert got.lidars == (
+        LidarSpec("bob/eye", 91, 0.2, 8.0, 5.0, "front/scan", rad(30), rad(90), 0.01, 0.002, 0.1, 3, 0.02, 0.03),
+    )
     assert got.lidars_3d == (
-        Lidar3DSpec("bob/eye", "velodyne", 32, 1800, rad(-30), rad(10), 1.0, 80.0, 20.0, 0.03, 0.004, 0.2, 4),
+        Lidar3DSpec("bob/eye", "velodyne", 32, 1800, rad(-30), rad(10), 1.0, 80.0, 20.0, 0.03, 0.004, 0.2, 4, 0.04, 0.05),
     )
     assert got.imus == (ImuSpec("bob/plate", "imu/data_raw", 200.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, False, 5),)
     assert got.bumpers == (BumperSpec("bob/plate", ("arm",), "hit", 7.0, rad(30), 50.0),)
@@ -124,6 +126,8 @@ def test_mistake_is_named(load: Load, text: str, match: str) -> None:
         (LidarSpec, {"range_min": 3.0, "range_max": 2.0}, "range_min is 3 and range_max 2"),
         (LidarSpec, {"range_max": math.inf}, "finite"),
         (LidarSpec, {"range_noise": -0.1}, "range_noise is -0.1"),
+        (LidarSpec, {"range_noise_ratio": 1.0}, "range_noise_ratio is 1, must be 0 to 0.2.*percentage"),
+        (Lidar3DSpec, {"range_scale": -0.1}, "range_scale is -0.1, must be 0 to 0.2"),
         (LidarSpec, {"resolution": math.nan}, "resolution is nan"),
         (LidarSpec, {"dropout": 1.1}, "dropout is 1.1, must be 0 to 1"),
         (LidarSpec, {"rate_hz": 0.0}, "rate_hz is 0"),
@@ -163,7 +167,7 @@ def test_impossible_value_of_the_base_is_refused(kind: type, values: dict[str, A
 
 def noises(spec: Any) -> dict[str, float]:
     """Returns the settings of errors that can be off, by name."""
-    off = ("noise", "resolution", "dropout", "bias", "walk", "ticks", "alpha")
+    off = ("noise", "scale", "resolution", "dropout", "bias", "walk", "ticks", "alpha")
     return {f.name: getattr(spec, f.name) for f in fields(spec) if any(word in f.name for word in off)}
 
 

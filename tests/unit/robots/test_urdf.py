@@ -144,7 +144,7 @@ def test_missing_file_is_refused(tmp_path: Path) -> None:
 
 def test_broken_xml_is_refused(tmp_path: Path) -> None:
     (tmp_path / "r.urdf").write_text("<robot>")
-    with pytest.raises(RobotError, match="is not XML"):
+    with pytest.raises(RobotError, match="is no well-formed XML"):
         read_urdf(tmp_path / "r.urdf")
 
 

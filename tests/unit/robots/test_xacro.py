@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -118,3 +119,76 @@ def test_a_published_description_names_meshes_that_others_find(root: Path, tmp_p
     plain = tmp_path / "r.urdf"
     plain.write_text('<robot name="r"><!-- as it is --><link name="a"/></robot>')
     assert published_description(plain) == plain.read_text()
+
+
+def write_package(folder: Path, files: dict[str, str]) -> Path:
+    """Makes a package; macros and links of ``files`` stand in a <robot> that knows xacro."""
+    (folder / "urdf").mkdir(parents=True)
+    (folder / "package.xml").write_text(f"<package><name>{folder.name}</name></package>")
+    for name, inside in files.items():
+        text = f'<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">{inside}</robot>'
+        (folder / "urdf" / name).write_text(text)
+    return folder
+
+
+def link_below(name: str, parent: str) -> str:
+    return TWO_LINKS.format(name, parent, "").replace('"j"', f'"{name}_joint"')
+
+
+@pytest.mark.usefixtures("needs_xacro")
+def test_included_xacros_may_name_packages_as_often_as_they_like(tmp_path: Path) -> None:
+    folder = tmp_path / "a work space"
+    include = '<xacro:include filename="$(find {})/urdf/{}"/>'.format
+    base = include("arm_description", "arm.xacro") + include("tool_description", "tool.xacro")
+    write_package(folder / "base_description", {"r.urdf.xacro": base + '<link name="base"/><xacro:arm/><xacro:tool/>'})
+    # Both include the same file, in which two packages are named that the top one does not mention.
+    common = include("common_description", "common.xacro")
+    arm = f'<xacro:macro name="arm">{link_below("arm", "base")}<xacro:marker at="arm"/></xacro:macro>'
+    tool = f'<xacro:macro name="tool">{link_below("tool", "arm")}<xacro:marker at="tool"/></xacro:macro>'
+    write_package(folder / "arm_description", {"arm.xacro": common + arm})
+    write_package(folder / "tool_description", {"tool.xacro": common + tool})
+    properties = '<xacro:property name="here" value="$(find common_description)"/>' + include("sizes_description", "sizes.xacro")
+    marker = link_below("${at}_marker", "${at}")
+    marker = f'<xacro:macro name="marker" params="at">{marker}</xacro:macro>'
+    write_package(folder / "common_description", {"common.xacro": properties + marker})
+    write_package(folder / "sizes_description", {"sizes.xacro": '<xacro:property name="size" value="$(find arm_description)"/>'})
+    model = read_urdf(plain_description(folder / "base_description/urdf/r.urdf.xacro", {}))
+    assert [link.name for link in model.links] == ["base", "arm", "arm_marker", "tool", "tool_marker"]
+
+
+@pytest.mark.usefixtures("needs_xacro")
+def test_packages_are_found_in_other_repositories_of_a_workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    include = '<xacro:include filename="$(find {}_description)/urdf/{}.xacro"/>'.format
+    source = tmp_path / "ws/src"
+    top = write_package(
+        source / "our_repository/base_description", {"r.urdf.xacro": include("arm", "arm") + '<link name="base"/>'}
+    )
+    # The arm is installed elsewhere, and beside it what it names itself.
+    prefix = tmp_path / "installed"
+    write_package(source / "their_repository/arm_description", {"arm.xacro": include("tool", "tool")})
+    write_package(prefix / "share/tool_description", {"tool.xacro": include("bit", "bit")})
+    write_package(prefix / "share/bit_description", {"bit.xacro": link_below("bit", "base")})
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(prefix))
+    # Files of the current folder are no modules of xacro's.
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "yaml.py").write_text("raise RuntimeError('this must not be imported')")
+    model = read_urdf(plain_description(top / "urdf/r.urdf.xacro", {}))
+    assert [link.name for link in model.links] == ["base", "bit"]
+
+
+@pytest.mark.usefixtures("needs_xacro")
+def test_a_package_that_is_nowhere_is_named_with_the_remedy(tmp_path: Path) -> None:
+    include = '<xacro:include filename="$(find gone_description)/urdf/arm.xacro"/>'
+    # What xacro warns of stands before its error.
+    redefined = '<xacro:property name="pi" value="3"/><xacro:property name="a" value="1"/>'
+    top = write_package(tmp_path / "base_description", {"r.urdf.xacro": redefined + include})
+    with pytest.raises(RobotError, match=r"xacro refuses it: package 'gone_description' is not found: .*source the workspace"):
+        plain_description(top / "urdf/r.urdf.xacro", {})
+
+
+@pytest.mark.usefixtures("needs_xacro")
+def test_runs_at_the_same_time_share_the_cache(package: Path) -> None:
+    with ThreadPoolExecutor(4) as pool:
+        paths = list(pool.map(lambda _: plain_description(package / "urdf/r.urdf.xacro", {"wide": "0.3"}), range(4)))
+    assert len(set(paths)) == 1
+    assert [file.name for file in paths[0].parent.iterdir()] == ["r.urdf"]

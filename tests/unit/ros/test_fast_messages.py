@@ -16,6 +16,7 @@ from sensor_msgs.msg import Imu, JointState  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
 from gibson_msgs.msg import SceneState as RosSceneState, TickDone  # noqa: E402
+from gibson_sim.robots.odometry_errors import OdometryCovariance  # noqa: E402
 from gibson_sim.ros import conversions  # noqa: E402
 from gibson_sim.ros.fast_publish import (  # noqa: E402
     FastClock,
@@ -78,9 +79,13 @@ def test_another_number_of_transforms_is_refused() -> None:
 @pytest.mark.parametrize("child", ["base", "base_footprint", "robot_17/base_link"])
 def test_odometry_is_bit_equal(child: str) -> None:
     odometry = Odometry(1.0, 2.0, 0.0, 0.4, -0.1)
-    message = odometry_to_msg(odometry, STAMP_NS, "odom", child)
-    fast = FastOdometry("odom", child, message.pose.covariance, message.twist.covariance)
-    data = fast.serialize(STAMP_NS, (1.0, 2.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.4, 0.0, 0.0), (0.0, 0.0, -0.1))
+    covariance = OdometryCovariance((1.0, 0.1, 0.2, 0.1, 2.0, 0.3, 0.2, 0.3, 3.0), (4.0, 0.4, 0.5, 0.4, 5.0, 0.6, 0.5, 0.6, 6.0))
+    message = odometry_to_msg(odometry, STAMP_NS, "odom", child, covariance)
+    assert message.pose.covariance[[0, 1, 5, 7, 11, 35]].tolist() == [1.0, 0.1, 0.2, 2.0, 0.3, 3.0]
+    assert message.twist.covariance[[14, 21, 28]].min() >= 1e6
+    both = map(conversions.planar_covariance, covariance)
+    values = (1.0, 2.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.4, 0.0, 0.0), (0.0, 0.0, -0.1)
+    data = FastOdometry("odom", child).serialize(STAMP_NS, *values, *both)
     _same(message, data)
     assert deserialize_message(data, RosOdometry).twist.twist.angular.z == -0.1
 
@@ -111,10 +116,10 @@ def test_imu_is_bit_equal() -> None:
     message.orientation.z = message.orientation.w = HALF
     message.angular_velocity.x, message.linear_acceleration.z = 0.25, 9.81
     message.orientation_covariance = np.arange(9.0)
-    message.angular_velocity_covariance = np.arange(9.0, 18.0)
-    message.linear_acceleration_covariance = np.arange(18.0, 27.0)
-    fast = FastImu("imu_link", range(9), range(9, 18), range(18, 27))
-    _same(message, fast.serialize(STAMP_NS, (0.0, 0.0, HALF, HALF), (0.25, 0.0, 0.0), (0.0, 0.0, 9.81)))
+    message.angular_velocity_covariance = 0.5 * np.eye(3).ravel()
+    message.linear_acceleration_covariance = 2.0 * np.eye(3).ravel()
+    fast = FastImu("imu_link", range(9))
+    _same(message, fast.serialize(STAMP_NS, (0.0, 0.0, HALF, HALF), (0.25, 0.0, 0.0), (0.0, 0.0, 9.81), 0.5, 2.0))
 
 
 @pytest.mark.parametrize("due", [(), (0,), (3, 1, 2)])

@@ -9,6 +9,7 @@ import pytest
 
 from gibson_sim.errors import EnvironmentProblemError
 from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_xyz_rpy
+from gibson_sim.importing.gravity import guess_up
 from gibson_sim.scanning.coloured_mesh import (
     ColouredMesh,
     level_transform,
@@ -21,6 +22,7 @@ from gibson_sim.scanning.coloured_mesh import (
 from gibson_sim.scanning.fusion import open3d
 from gibson_sim.scanning.posed_rgbd import ScanError
 from gibson_sim.scenes.mesh import load_mesh
+from support.scans import noisy_room
 
 
 def boards(*heights_and_sizes: tuple[float, float]) -> ColouredMesh:
@@ -82,6 +84,22 @@ def test_without_a_level_surface_up_is_not_guessed():
     wall = moved(boards((0.0, 1.0)), matrix_from_pose(pose_from_xyz_rpy(rpy=(np.pi / 2, 0, 0))))
     with pytest.raises(ScanError, match="leave out --level"):
         level_transform(wall, np.eye(4)[None] @ np.diag([1.0, -1.0, 1.0, 1.0])[[0, 2, 1, 3]])
+
+
+def test_a_levelled_scan_is_level_by_the_measure_of_check():
+    """A bumpy floor with a slanted ramp, which must not pull."""
+    vertices, triangles = noisy_room(edge=0.1)
+    ramp = boards((0.0, 1.5)).vertices.astype(np.float64) @ matrix_from_pose(pose_from_xyz_rpy(rpy=(0.2, 0.0, 0.0)))[:3, :3].T
+    corners = np.concatenate([vertices, ramp + np.array([2.0, 2.0, 0.1])])
+    faces = np.concatenate([triangles, len(vertices) + np.array([[0, 1, 2], [0, 2, 3]])])
+    mesh = ColouredMesh(corners.astype(np.float32), faces.astype(np.int32), np.zeros((len(corners), 3), np.uint8))
+    T_scan_level = matrix_from_pose(pose_from_xyz_rpy((0.0, 0.0, 0.0), (-1.9, 0.3, 0.0)))
+    upright = np.eye(4)
+    upright[:3, :3] = np.array([[0.0, 0.4, 0.9], [-1.0, 0.0, 0.0], [0.0, -0.9, 0.4]])
+    turned = moved(mesh, T_scan_level)
+    level = moved(turned, level_transform(turned, (T_scan_level @ upright)[None]))
+    guess = guess_up(level.vertices.astype(np.float64), level.triangles)
+    assert guess.sure and guess.tilt_deg < 0.1
 
 
 def test_a_ply_is_read_again_with_its_colours(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -66,6 +67,19 @@ def test_flying_pixels_lie_between_the_two_surfaces():
     depth = measured_depth(frame(two_walls()), replace(CLEAN, flying_fraction=1.0), None, 0, 0)
     assert ((depth[:, 39:41] > 2.0) & (depth[:, 39:41] < 3.0)).mean() > 0.95
     assert (depth[:, 41:] == 3.0).all()
+
+
+@pytest.mark.parametrize("preset", sorted(PRESETS))
+def test_windows_and_other_places_without_depth_warn_of_nothing(preset):
+    """A window beside a wall, and one all over the image: numpy is silent, and nothing flies where there is nothing."""
+    window = np.broadcast_to(two_walls(), (60, 80)).copy()
+    window[10:50, 20:60] = np.inf
+    defects = Defects(**{name: value for name, value in PRESETS[preset].items() if name in Defects.__dataclass_fields__})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        depth = measured_depth(frame(window), defects, None, 0, 0)
+        assert lost(measured_depth(frame(np.full((60, 80), np.nan)), defects, None, 0, 0)) == 1.0
+    assert np.isnan(depth[15:45, 25:55]).all()
 
 
 def test_black_surfaces_lose_depth_and_grey_ones_do_not():

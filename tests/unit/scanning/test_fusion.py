@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
+from gibson_sim.cli.main import main
 from gibson_sim.scanning.comparison import compare
-from gibson_sim.scanning.fusion import distances, fuse
+from gibson_sim.scanning.fusion import chosen_frames, distances, fuse
 from gibson_sim.scanning.layouts import open_posed_rgbd
 from gibson_sim.scanning.posed_rgbd import ScanError, depth_units
 from gibson_sim.scanning.settings import FuseSettings
@@ -71,6 +72,16 @@ def test_what_too_few_images_show_becomes_a_hole(board):
     assert fuse(board, replace(SETTINGS, min_weight=3.0)).area < 0.8 * fuse(board, SETTINGS).area
     with pytest.raises(ScanError, match="--min-weight"):
         fuse(board, replace(SETTINGS, min_weight=50.0))
+
+
+def test_what_is_said_of_a_stride_is_what_was_taken(board, tmp_path, capsys):
+    words = ["scene", "fuse", str(board.folder), "--output", str(tmp_path / "a.ply"), "--report", str(tmp_path / "a.json")]
+    with pytest.raises(SystemExit) as ended:
+        main([*words, "--voxel", "0.04", "--min-weight", "1", "--min-part", "0", "--stride", "2"])
+    assert ended.value.code == 0
+    assert "from 2 of 3 frames (open3d)" in capsys.readouterr().out
+    assert json.loads((tmp_path / "a.json").read_text())["frames"] == 2
+    assert list(chosen_frames(board, replace(SETTINGS, stride=2))) == [0, 2]
 
 
 def test_far_depths_are_left_out(board):

@@ -124,6 +124,62 @@ def test_intrinsics_of_the_folder_are_by_columns(tmp_path):
     assert (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy) == FOCAL
 
 
+ROS_YAML = """image_width: 12
+image_height: 8
+camera_matrix: {rows: 3, cols: 3, data: [10.0, 0.0, 5.5, 0.0, 11.0, 3.5, 0.0, 0.0, 1.0]}
+"""
+SCANNET = """m_depthWidth = 12
+m_calibrationColorIntrinsic = 99 0 5 0 0 99 5 0 0 0 1 0 0 0 0 1
+m_calibrationDepthIntrinsic = 10 0 5.5 0 0 11 3.5 0 0 0 1 0 0 0 0 1
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("camera-intrinsics.txt", " 1.0e+01 0 5.5 \n 0 11 3.5\n0 0 1\n"),
+        ("intrinsic/intrinsic_depth.txt", "10 0 5.5 0\n0 11 3.5 0\n0 0 1 0\n0 0 0 1\n"),
+        ("calibration.txt", "# fx fy cx cy\n10, 11, 5.5, 3.5\n"),
+        ("camera.json", '{"fx": 10, "fy": 11, "cx": 5.5, "cy": 3.5}'),
+        ("intrinsics.json", '{"width": 12, "height": 8, "intrinsic_matrix": [[10, 0, 5.5], [0, 11, 3.5], [0, 0, 1]]}'),
+        ("camera_info.yaml", ROS_YAML),
+        ("_info.txt", SCANNET),
+    ],
+)
+def test_intrinsics_are_read_in_the_formats_that_sets_have_them_in(tmp_path, name, text):
+    folder = open3d_folder(tmp_path / "set")
+    (folder / "camera_intrinsic.json").unlink()
+    (folder / name).parent.mkdir(exist_ok=True)
+    (folder / name).write_text(text)
+    rgbd = open_posed_rgbd(folder)
+    assert (rgbd.intrinsics.fx, rgbd.intrinsics.fy, rgbd.intrinsics.cx, rgbd.intrinsics.cy) == FOCAL
+    assert name == "intrinsics.json" or any(f"intrinsics are those of {name}" in w for w in rgbd.warnings)
+
+
+def test_a_file_that_may_hold_intrinsics_and_is_not_read_is_named(tmp_path):
+    folder = seven_scenes_folder(tmp_path / "set")
+    for path in folder.glob("frame-*.png"):
+        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(path), cv2.resize(image, (640, 480), interpolation=cv2.INTER_NEAREST))
+    (folder / "camera.txt").write_text("a Kinect, I think\n")
+    (folder / "calibration.yaml").write_text("camera_matrix: [1000, 0, 900, 0, 1000, 500, 0, 0, 1]\n")
+    rgbd = open_posed_rgbd(folder)
+    said = "\n".join(rgbd.warnings)
+    assert "camera.txt is not read: no intrinsics are in it" in said
+    assert "calibration.yaml is not read: its middle is at 900, 500 pixels, outside an image of 640x480" in said
+    assert "took those of the 7-scenes camera" in said
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"width": 12, "height": 8, "intrinsic_matrix": [1, 2]}', '{"intrinsic_matrix": "x"}']
+)
+def test_a_file_of_open3ds_name_that_holds_none_is_an_error(tmp_path, text):
+    folder = open3d_folder(tmp_path / "set")
+    (folder / "camera_intrinsic.json").write_text(text)
+    with pytest.raises(ScanError, match=r"camera_intrinsic\.json"):
+        open_posed_rgbd(folder)
+
+
 def test_assumed_intrinsics_are_refused_for_another_size(tmp_path):
     folder = open3d_folder(tmp_path / "set")
     (folder / "camera_intrinsic.json").unlink()

@@ -105,5 +105,5 @@ def test_broken_mesh_is_refused(tmp_path: Path) -> None:
 
 def test_mesh_that_is_larger_than_allowed_is_refused(tmp_path: Path) -> None:
     path = write_box_obj(tmp_path / "box.obj", (0, 0, 0), (1, 1, 1))
-    with pytest.raises(MeshError, match="at most 0 MB"):
+    with pytest.raises(MeshError, match="is too large: it has 0 MB"):
         MeshLoader((tmp_path,), max_bytes=10).mesh(path)

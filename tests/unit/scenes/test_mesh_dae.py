@@ -120,10 +120,10 @@ def test_texture_in_a_folder_beside_is_read_where_the_root_holds_both(tmp_path: 
     assert mesh.warnings == ()
 
 
-def test_texture_outside_the_root_is_refused(tmp_path: Path) -> None:
+def test_texture_outside_the_model_is_refused(tmp_path: Path) -> None:
     (tmp_path / "textures").mkdir()
     (tmp_path / "textures" / "wood.png").write_bytes(png((5, 6, 7)))
-    mesh = load_mesh(_write(tmp_path / "meshes" / "a.dae", effect=TEXTURED), [tmp_path / "meshes"])
+    mesh = load_mesh(_write(tmp_path / "mine" / "a.dae", effect=TEXTURED), [tmp_path / "mine"])
     assert mesh.parts[0].material.texture is None
     assert any("wood.png" in w and "outside" in w for w in mesh.warnings)
 

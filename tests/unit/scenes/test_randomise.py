@@ -224,7 +224,7 @@ def test_images_are_those_of_the_folder_in_alphabetical_order(tmp_path: Path) ->
         ("classes: {chair: {texture: {patterns: []}}}\n", "names neither patterns nor images"),
         ("classes: [chair]\n", "must be a mapping"),
         ("light: {temperature_k: 100}\n", "from 1667 to 25000"),
-        ("a: [\n", "is no YAML"),
+        ("a: [\n", "is not YAML"),
     ],
 )
 def test_a_mistake_is_named(tmp_path: Path, text: str, words: str) -> None:

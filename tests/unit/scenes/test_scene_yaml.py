@@ -152,7 +152,7 @@ def test_floor_is_the_ground_unless_it_is_given(tmp_path: Path) -> None:
         ("starts: [{name: a}]\n", "either xy"),
         ("ground_z: yes\n", "must be a finite number"),
         ("- a\n", "must be a mapping"),
-        ("a: [\n", "no YAML"),
+        ("a: [\n", "not YAML"),
     ],
 )
 def test_wrong_value_is_refused_in_one_line(tmp_path: Path, text: str, said: str) -> None:

@@ -12,6 +12,7 @@ from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes import spawning
 from gibson_sim.scenes.spawning import (
+    MAX_PARTS,
     SPAWN_FORMATS,
     SpawnError,
     SpawnFailure,
@@ -539,3 +540,27 @@ def test_everything_is_in_one_module() -> None:
         "load_spawnable",
         "spawn_name",
     }
+
+
+@pytest.mark.parametrize("count", [MAX_PARTS, MAX_PARTS + 1])
+def test_meshes_of_a_thing_are_counted_before_they_are_read(tmp_path: Path, count: int) -> None:
+    gltf = Gltf().triangle([[0, 0, 0], [1, 0, 0], [0, 1, 1]])
+    gltf.document["nodes"] = [{"mesh": 0, "translation": [0, 0, number % 7]} for number in range(count)]
+    gltf.document["scenes"] = [{"nodes": list(range(count))}]
+    path = gltf.write(tmp_path / "many.glb")
+    if count <= MAX_PARTS:
+        assert _body(str(path)).name == "thing"
+    else:
+        error = _error(str(path))
+        assert (error.code, str(MAX_PARTS) in str(error)) == (CODES.RESOURCE_PARSE_ERROR, True)
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+def test_values_of_a_gltf_are_counted_before_they_are_read(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    gltf = Gltf().triangle()
+    gltf.document["extras"] = [0] * 2_100_000
+    path = gltf.write(tmp_path / f"long{suffix}")
+    monkeypatch.setattr("gibson_sim.scenes.mesh_gltf.json.loads", lambda _: pytest.fail("it was read"))
+    error = _error(str(path))
+    assert error.code is CODES.RESOURCE_PARSE_ERROR
+    assert "values of JSON, must have at most 2000000" in error.public

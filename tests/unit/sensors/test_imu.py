@@ -143,6 +143,32 @@ def test_reported_variance_is_that_of_the_samples() -> None:
     assert (reading.angular_variance, reading.linear_variance) == pytest.approx((0.01, 4.0))
 
 
+def test_reported_variance_holds_the_bias_and_how_far_it_walked() -> None:
+    # 100 devices after 4 s: white 0.01^2 * 25, bias 0.03^2, walk 0.02^2 * 4 and the same of the accelerometers, times 100.
+    spec = ImuSpec(
+        "r/imu", rate_hz=25.0, gyro_noise=0.01, accel_noise=0.1, gyro_bias=0.03, accel_bias=0.3, gyro_bias_walk=0.02,
+        accel_bias_walk=0.2,
+    )  # fmt: skip
+    errors, variances = [], set()
+    for seed in range(100):
+        imu = Imu(spec, GRAVITY, seed)
+        for i in range(1, 101):
+            reading = imu.measure(state(0.04 * i))
+        errors.append([*reading.angular_velocity, *(reading.linear_acceleration - [0.0, 0.0, 9.81])])
+        variances.add((reading.angular_variance, reading.linear_variance))
+    ((angular, linear),) = variances
+    assert (angular, linear) == pytest.approx((0.005, 0.5))
+    nees = np.array(errors) ** 2 / np.repeat([angular, linear], 3)
+    assert nees.sum(axis=1).mean() == pytest.approx(6.0, abs=4 * math.sqrt(12.0 / 100))
+
+
+def test_variance_is_that_of_the_samples_that_are_really_taken() -> None:
+    # 1000 Hz asked for, 240 steps a second there are.
+    imu = Imu(ImuSpec("r/imu", rate_hz=1000.0, gyro_noise=0.01), GRAVITY)
+    imu.measure(state(1.0))
+    assert imu.measure(state(1.0 + 1.0 / 240)).angular_variance == pytest.approx(0.01**2 * 240, rel=1e-3)
+
+
 def test_variance_without_noise_is_small_but_not_unknown() -> None:
     reading = Imu(ImuSpec("r/imu"), GRAVITY).measure(state())
     assert reading.angular_variance == reading.linear_variance == LEAST_VARIANCE > 0.0

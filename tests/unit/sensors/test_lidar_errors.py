@@ -31,6 +31,42 @@ def test_noise_has_the_standard_deviation_that_was_asked_for() -> None:
     assert abs(errors.mean()) < 4 * 0.015 / 200
 
 
+def test_noise_in_parts_of_the_distance_grows_with_it() -> None:
+    spec = LidarSpec("r/lidar", range_noise=0.003, range_noise_ratio=0.01)
+    for distance in (0.5, 8.0):
+        errors = ranges_from_distances(np.full(40_000, distance), spec, NOISE, 1).astype(np.float64) - distance
+        assert errors.std() == pytest.approx(math.hypot(0.003, 0.01 * distance), rel=0.02)
+
+
+def test_wrong_scale_is_that_of_the_device_for_its_whole_life() -> None:
+    spec = LidarSpec("r/lidar", range_scale=0.01)
+    factors = []
+    for seed in range(300):
+        noise = NoiseSource("r/scan", seed)
+        once, later = (ranges_from_distances([2.0, 10.0, np.inf], spec, noise, stamp) for stamp in (1, 10**12))
+        assert once.tolist() == later.tolist()
+        assert once[1] == pytest.approx(5 * once[0])
+        assert once[2] == np.inf
+        factors.append(once[0] / 2.0)
+    # 300 devices: the deviation of their scales is known to 4 %.
+    assert np.std(factors) == pytest.approx(0.01, rel=0.15)
+    assert abs(np.mean(factors) - 1.0) < 0.002
+
+
+def test_rays_reach_what_a_wrong_scale_brings_into_range() -> None:
+    # Devices that measure 1 to 3 % short report a wall that is 0.5 % beyond their range.
+    asked: list[float] = []
+
+    def cast(origins: np.ndarray, directions: np.ndarray, range_max: float, ignore: str | None) -> np.ndarray:
+        asked.append(range_max)
+        return np.full(len(origins), 12.06)
+
+    spec = LidarSpec("r/lidar", range_scale=0.01)
+    scans = [measure_scan(spec, AT_ORIGIN, cast, NoiseSource("r/scan", seed)).ranges for seed in range(30)]
+    assert min(asked) > 12.36
+    assert {float(np.isfinite(ranges).mean()) for ranges in scans} == {0.0, 1.0}
+
+
 def test_ranges_are_multiples_of_the_resolution() -> None:
     spec = LidarSpec("r/lidar", resolution=0.25)
     assert ranges_from_distances([0.9, 1.1, 1.13, 7.99], spec, NOISE, 1).tolist() == [1.0, 1.0, 1.25, 8.0]

@@ -271,3 +271,40 @@ def test_deleted_entity_is_gone(people: Population) -> None:
     assert people.names == ("wall", "anna")
     with pytest.raises(SimulationError):
         people.state("crate")
+
+
+def _spawn_ahead(people: Population, *requests: SpawnRequest) -> list[str]:
+    """Spawns what was read in advance, as the services do; fails if anything is read once more."""
+    ahead = people.reading(requests)()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gibson_sim.scenes.spawning.load_spawnable", lambda *_, **__: pytest.fail("it was read again"))
+        patch.setattr("gibson_sim.scenes.spawning.spawn_name", lambda *_: pytest.fail("it was read again"))
+        return [people.spawn(request, found) for request, found in zip(requests, ahead, strict=True)]
+
+
+def test_what_was_read_ahead_is_not_read_again(people: Population) -> None:
+    request = SpawnRequest(text=BALL, allow_renaming=True, position=(7.0, 1.0, 2.0))
+    names = _spawn_ahead(people, request, request)
+    assert len(set(names)) == 2
+    for name in names:
+        assert people.state(name).pose.position == (7.0, 1.0, 2.0)
+
+
+def test_what_changed_since_it_was_read_counts(people: Population) -> None:
+    request = SpawnRequest(text=BALL, frame_id="crate", position=(0.0, 0.0, 3.0), name="ball", allow_renaming=True)
+    (ahead,) = people.reading([request])()
+    people.set_state("crate", StateChange(position=(9.0, 0.0, 0.0)))
+    people.spawn(SpawnRequest(name="ball", text=BALL, position=(0.0, 5.0, 2.0)))
+    name = people.spawn(request, ahead)
+    assert name != "ball"
+    assert people.state(name).pose.position[0] == pytest.approx(9.0)
+
+
+def test_mistake_in_what_was_read_ahead_is_said_when_its_turn_comes(people: Population) -> None:
+    request = SpawnRequest(name="x", text="<robot name='x'><link/></robot>")
+    (ahead,) = people.reading([request])()
+    with pytest.raises(SimulationError) as late:
+        people.spawn(request, ahead)
+    with pytest.raises(SimulationError) as at_once:
+        people.spawn(request)
+    assert (late.value.code, str(late.value)) == (at_once.value.code, str(at_once.value))

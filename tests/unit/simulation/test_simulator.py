@@ -11,6 +11,7 @@ import pytest
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import PhysicsError
 from gibson_sim.physics.world import PhysicsWorld
+from gibson_sim.scenes import spawnables, worlds
 from gibson_sim.scenes.worlds import World, WorldError, WorldFailure
 from gibson_sim.simulation import catalogue
 from gibson_sim.simulation.codes import LoadWorldCode, Result, SimulationError, StateCode, WorldCode, WorldsCode
@@ -315,7 +316,7 @@ def test_world_that_physics_refuses_leaves_none(tmp_path: Path) -> None:
         raise PhysicsError("too small")
 
     simulator = Simulator(None, PhysicsConfig(), make_world=refuse)
-    with pytest.raises(SimulationError, match="too small") as error:
+    with pytest.raises(SimulationError, match="cannot be used") as error:
         simulator.load_world(LoadRequest(str(write_room(tmp_path))))
     assert error.value.code is LoadWorldCode.RESOURCE_PARSE_ERROR
     assert simulator.state is NO_WORLD
@@ -375,16 +376,41 @@ def test_source_that_is_not_there_is_an_error_unless_it_is_to_go_on() -> None:
 
 
 def test_default_sources_that_fail_have_a_code_of_their_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    def gone() -> tuple[World, ...]:
+        raise WorldError(WorldFailure.NO_RESOURCE, "the disk is gone")
+
     def find(sources: tuple[str, ...], *, continue_on_error: bool) -> tuple[World, ...]:
-        if not sources:
-            raise WorldError(WorldFailure.NO_RESOURCE, "the disk is gone")
         return (World("there", sources[0]),)
 
-    monkeypatch.setattr(catalogue, "find_worlds", find)
+    monkeypatch.setattr(catalogue, "own_worlds", gone)
+    monkeypatch.setattr(catalogue, "worlds_below", find)
     with pytest.raises(SimulationError) as error:
         catalogue.available_worlds((), TagsFilter(), continue_on_error=False)
     assert error.value.code is WorldsCode.DEFAULT_SOURCES_FAILED
     assert len(catalogue.available_worlds(("x",), TagsFilter(), continue_on_error=True)) == 1
+
+
+def test_world_is_described_without_a_look_at_others(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Time stands still meanwhile: reading every installed scene took most of a second."""
+    described = []
+    world = worlds._world
+    monkeypatch.setattr(worlds, "_world", lambda *args: described.append(args) or world(*args))
+    for uri in ("arena", str(write_room(tmp_path))):
+        described.clear()
+        known = catalogue.description_of(uri)
+        assert known is not None and known.tags == ("scene.yaml",)
+        assert len(described) == 1
+
+
+def test_installed_things_are_listed_once_however_many_sources_there_are(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    listed = []
+    for module, name in ((worlds, "known_scenes"), (spawnables, "own_spawnables")):
+        original = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda f=original, n=name: listed.append(n) or f())
+    sources = tuple(str(write_room(tmp_path / str(k))) for k in range(4))
+    catalogue.available_worlds(sources, TagsFilter(), continue_on_error=False)
+    catalogue.spawnables(sources)
+    assert sorted(listed) == ["known_scenes", "own_spawnables"]
 
 
 def test_spawnables_name_the_sources_that_are_none_and_go_on(tmp_path: Path) -> None:

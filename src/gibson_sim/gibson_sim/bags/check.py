@@ -155,6 +155,11 @@ def check_bag(folder: str | Path) -> BagReport:
         if info.type_name == IMAGE and info.count:
             partners = _partners(topic, infos)
             for partner in partners:
+                if not (len(data.stamps[topic]) and len(data.stamps[partner])):
+                    problems.append(
+                        f"{topic if len(data.stamps[partner]) else partner}: the index of the bag lists messages that are not there"
+                    )
+                    continue
                 _compare(topic, partner, data.stamps[topic], data.stamps[partner], problems, notes)
             notes += [f"{topic}: the bag has no {what}" for what in _lacking(topic, partners)]
     reports = tuple(_topic_report(info, data.stamps.get(topic)) for topic, info in infos.items())

@@ -19,6 +19,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typest
 from rosbags.typesys.store import Typestore
 
 from gibson_sim.errors import RecordError
+from gibson_sim.quoting import quoted
 
 _SEPARATOR = "=" * 80
 _TYPE_NAME = re.compile(r"([a-zA-Z][a-zA-Z0-9_]*)/(?:msg/)?([a-zA-Z][a-zA-Z0-9_]*)")
@@ -32,7 +33,9 @@ def canonical_type(name: str) -> str:
     """
     match = _TYPE_NAME.fullmatch(name)
     if not match:
-        raise RecordError(f"type {name!r} is not a message type; must be <package>/msg/<Type>, such as sensor_msgs/msg/Image")
+        raise RecordError(
+            f"type {quoted(name)} is not a message type; must be <package>/msg/<Type>, such as sensor_msgs/msg/Image"
+        )
     return f"{match[1]}/msg/{match[2]}"
 
 
@@ -88,7 +91,7 @@ class MessageDefinitions:
             if text is None:
                 text = _jazzy_text(name)
             if text is None:
-                of = f"type {name!r}" + (f", which {wanted_by} contains" if wanted_by else "")
+                of = f"type {quoted(name)}" + (f", which {wanted_by} contains" if wanted_by else "")
                 raise RecordError(
                     f"{of}: no .msg file found under share/*/msg of {', '.join(map(str, _prefixes())) or 'any installation'}; "
                     "source the workspace that defines it before recording"
@@ -102,7 +105,7 @@ def _nested_types(name: str, text: str) -> list[str]:
     try:
         fields = get_types_from_msg(text, name)[name][1]
     except (TypesysError, KeyError) as error:
-        raise RecordError(f"type {name!r}: its definition is not understood ({error}); it cannot be recorded") from error
+        raise RecordError(f"type {quoted(name)}: its definition is not understood ({error}); it cannot be recorded") from error
     return list(dict.fromkeys(_message_types(desc) for _, desc in fields if _message_types(desc)))
 
 
@@ -121,7 +124,7 @@ def _hash(name: str, full_text: str) -> str:
         store.register(get_types_from_msg(full_text, name))
         return str(store.hash_rihs01(name))
     except (TypesysError, SerdeError, KeyError) as error:
-        raise RecordError(f"type {name!r}: its definition is not understood ({error}); it cannot be recorded") from error
+        raise RecordError(f"type {quoted(name)}: its definition is not understood ({error}); it cannot be recorded") from error
 
 
 def _prefixes() -> tuple[Path, ...]:

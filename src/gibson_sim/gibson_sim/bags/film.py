@@ -10,14 +10,14 @@ import numpy as np
 
 from gibson_sim.bags.reader import COLOUR_ENCODINGS, BagReader
 from gibson_sim.bags.stamps import nominal_period_ns
-from gibson_sim.bags.video import IMAGE, MAX_FPS, Bgr, Panels, VideoFile, repeats_of, write_file
+from gibson_sim.bags.video import IMAGE, MAX_FPS, Bgr, Panels, repeats_of
+from gibson_sim.bags.video_file import write_frames
 from gibson_sim.errors import RecordError
+from gibson_sim.picture_files import SUFFIXES, write_picture
 from gibson_sim.types import NS_PER_S
 
-PICTURES = (".png", ".jpg", ".jpeg")
 _GAP_PX = 4
 _VIEWS = "/view_"
-_JPEG_QUALITY = 88
 
 
 def film_topics(reader: BagReader, wanted: Sequence[str] = ()) -> list[str]:
@@ -39,7 +39,7 @@ def film_topics(reader: BagReader, wanted: Sequence[str] = ()) -> list[str]:
             raise RecordError(f"bag {reader.folder} has no images on {', '.join(unknown)}; it has them on: {there}")
         return topics
     images = sorted(name for name, info in infos.items() if info.type_name == IMAGE and info.count)
-    colours = [name for name in images if next(reader.messages([name]))[2].encoding in COLOUR_ENCODINGS]
+    colours = [name for name in images if reader.first(name).encoding in COLOUR_ENCODINGS]
     if not colours:
         raise RecordError(f"bag {reader.folder} has no colour images: record while the render node runs, or name topics")
     return sorted(colours, key=lambda name: (name.startswith(_VIEWS), name))
@@ -59,7 +59,7 @@ def write_film_strip(
 
     Args:
         bag: folder of the bag.
-        path: PNG or JPEG file to write; its folder must exist.
+        path: PNG or JPEG file to write; its folder is made where it is missing.
         topics: as ``film_topics`` takes them.
         columns: how many moments; fewer if the bag has fewer at which every topic has an image.
         width: of one image, pixels.
@@ -70,12 +70,13 @@ def write_film_strip(
         The path.
 
     Raises:
-        RecordError: the bag lacks the images, or the file cannot be written.
+        RecordError: the bag lacks the images.
+        WriteError: the file cannot be written.
     """
     _check(columns, width)
     path = Path(path)
-    if path.suffix.lower() not in PICTURES:
-        raise RecordError(f"film strip {path}: the name must end in {', '.join(PICTURES)}")
+    if path.suffix.lower() not in SUFFIXES:
+        raise RecordError(f"film strip {path}: the name must end in {', '.join(SUFFIXES)}")
     with BagReader(bag) as reader:
         panels = Panels(reader, film_topics(reader, topics))
         shown = _shown(reader, panels, begin, end)
@@ -86,11 +87,7 @@ def write_film_strip(
         ]
     gap = np.full((cells[0].shape[0], _GAP_PX, 3), 255, dtype=np.uint8)
     strip = np.hstack([part for cell in cells for part in (cell, gap)][:-1])
-    ok, data = cv2.imencode(
-        path.suffix, strip, [] if path.suffix.lower() == ".png" else [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
-    )
-    assert ok, "a picture of uint8 can always be encoded"
-    write_file(path, data.tobytes())
+    write_picture(path, strip)
     return path
 
 
@@ -109,7 +106,7 @@ def write_film(
 
     Args:
         bag: folder of the bag.
-        path: file to write; its folder must exist.
+        path: file to write; its folder is made where it is missing.
         topics: as ``film_topics`` takes them.
         width: of the video, pixels.
         begin: leave out what is earlier, seconds after the begin of the bag.
@@ -121,7 +118,8 @@ def write_film(
         The path.
 
     Raises:
-        RecordError: the bag lacks the images, or the video cannot be written.
+        RecordError: the bag lacks the images.
+        WriteError: the video cannot be written; nothing is left of it.
     """
     _check(1, width)
     if not speed > 0.0 or (fps is not None and not fps > 0.0):
@@ -133,26 +131,12 @@ def write_film(
         rate = fps or min(NS_PER_S / (nominal_period_ns(stamps) or NS_PER_S / 10.0) * speed, MAX_FPS)
         repeats = dict(zip(shown.tolist(), repeats_of(stamps, NS_PER_S / rate * speed).tolist(), strict=True))
         frames = ((repeats[i], _stacked(images, panels.topics, width, 0)) for i, images in _needed(panels, repeats))
-        _write(Path(path), rate, frames)
+        write_frames(Path(path), rate, frames)
     return Path(path)
 
 
 def _needed(panels: Panels, repeats: Mapping[int, int]) -> Iterator[tuple[int, dict[str, Bgr]]]:
     return panels.images(frozenset(index for index, count in repeats.items() if count))
-
-
-def _write(path: Path, rate: float, frames: Iterator[tuple[int, Bgr]]) -> None:
-    """Writes pictures, each as often as is said with it."""
-    video: VideoFile | None = None
-    try:
-        for count, picture in frames:
-            if video is None:
-                video = VideoFile(path, rate, (picture.shape[1], picture.shape[0]))
-            for _ in range(count):
-                video.write(picture)
-    finally:
-        if video is not None:
-            video.close()
 
 
 def _check(columns: int, width: int) -> None:

@@ -10,6 +10,9 @@ from typing import Any, Protocol
 
 import yaml
 
+from gibson_sim.errors import TextError
+from gibson_sim.reading import parse_yaml, read_yaml_file
+
 METADATA_FILE = "metadata.yaml"
 VERSION = 9
 ROS_DISTRO = "jazzy"
@@ -157,11 +160,20 @@ def dump_information(information: dict[str, Any]) -> str:
 def read_metadata(folder: Path) -> dict[str, Any]:
     """Returns what stands under ``rosbag2_bagfile_information``; empty if the file is missing or not understood."""
     try:
-        content = yaml.safe_load((folder / METADATA_FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError):
+        content = read_yaml_file(folder / METADATA_FILE)
+    except (OSError, TextError):
         return {}
     information = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
     return information if isinstance(information, dict) else {}
+
+
+def offered_qos(text: str) -> list[Any]:
+    """Returns the profiles that a storage file keeps of a topic as YAML; empty if the text is not understood."""
+    try:
+        content = parse_yaml(text)
+    except TextError:
+        return []
+    return content if isinstance(content, list) else []
 
 
 def write_metadata(folder: Path, information: dict[str, Any]) -> None:

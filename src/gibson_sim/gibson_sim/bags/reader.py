@@ -5,7 +5,6 @@ A thin layer over `rosbags`, which needs no ROS: the types come from the definit
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,15 +13,18 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
-from rosbags.rosbag2 import ReaderError
 from rosbags.typesys import Stores, get_typestore
 
+from gibson_sim.bags.folders import check_bag
 from gibson_sim.errors import RecordError
+from gibson_sim.quoting import clipped, quoted
 
 COLOUR_ENCODINGS = ("rgb8", "bgr8", "mono8")
 DEPTH_ENCODINGS = ("32FC1", "16UC1")
+_LONGEST_REASON = 300
+"""Characters of what a parser says."""
 _ENCODINGS: dict[str, tuple[str, int]] = {
     "rgb8": ("u1", 3),
     "bgr8": ("u1", 3),
@@ -63,16 +65,16 @@ class BagReader:
             RecordError: it is no bag, or one that was cut off.
         """
         self.folder = Path(folder)
-        if not self.folder.is_dir():
-            raise RecordError(f"there is no bag at {self.folder}: give the folder that was recorded")
+        check_bag(self.folder)
         self._reader: AnyReader | None = None
         try:
             # The types of Jazzy are for bags without definitions, as sqlite3 ones were before Jazzy.
             reader = AnyReader([self.folder], default_typestore=get_typestore(Stores.ROS2_JAZZY))
             reader.open()
-        except (AnyReaderError, OSError, KeyError, IndexError, TypeError, ValueError, struct.error) as error:
+        # What a parser raises is up to the bytes that it is given: damage raises anything, MemoryError too.
+        except Exception as error:
             raise RecordError(
-                f"bag {self.folder} cannot be read ({error}); if its recording was cut off, "
+                f"bag {self.folder} cannot be read ({_reason(error)}); if its recording was cut off, "
                 f"run `gibson-sim bag repair {self.folder}`"
             ) from error
         self._reader = reader
@@ -117,8 +119,22 @@ class BagReader:
         try:
             for connection, log_time, data in reader.messages(chosen, start=start_ns, stop=stop_ns):
                 yield connection.topic, log_time, data
-        except (AnyReaderError, ReaderError, OSError) as error:
-            raise RecordError(f"bag {self.folder} is damaged ({error}); run `gibson-sim bag repair` on a copy of it") from error
+        except Exception as error:
+            raise RecordError(
+                f"bag {self.folder} is damaged ({_reason(error)}); run `gibson-sim bag repair` on a copy of it"
+            ) from error
+
+    def first(self, topic: str) -> Any:
+        """Returns the first message of a topic.
+
+        Raises:
+            RecordError: there is none, whatever the index of the bag says, or it cannot be decoded.
+        """
+        for _, _, message in self.messages([topic]):
+            return message
+        raise RecordError(
+            f"bag {self.folder} is damaged (no message of {topic} is there); run `gibson-sim bag repair` on a copy of it"
+        )
 
     def decode(self, type_name: str, data: bytes) -> Any:
         """Returns the message: an object with the fields of the ROS message, arrays as numpy arrays.
@@ -128,8 +144,10 @@ class BagReader:
         """
         try:
             return self._open().deserialize(data, type_name)
-        except (AnyReaderError, KeyError) as error:
-            raise RecordError(f"bag {self.folder}: a message of type {type_name} cannot be decoded: {error}") from error
+        except Exception as error:
+            raise RecordError(
+                f"bag {self.folder}: a message of type {quoted(type_name)} cannot be decoded: {_reason(error)}"
+            ) from error
 
     def close(self) -> None:
         """Closes the bag; a second time does nothing."""
@@ -174,6 +192,11 @@ class BagReader:
         return bool(fields) and fields[0][1][1] in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")
 
 
+def _reason(error: Exception) -> str:
+    """Returns what an error of a parser says, on one line, which may quote the file."""
+    return clipped(str(error), _LONGEST_REASON) or type(error).__name__
+
+
 def image_to_array(msg: Any) -> NDArray[Any]:
     """Returns the pixels of a ``sensor_msgs/Image``, row 0 on top, as the message has them.
 
@@ -188,7 +211,7 @@ def image_to_array(msg: Any) -> NDArray[Any]:
         RecordError: another encoding, or too few bytes.
     """
     if msg.encoding not in _ENCODINGS:
-        raise RecordError(f"image encoding {msg.encoding!r} cannot be read, must be one of {', '.join(_ENCODINGS)}")
+        raise RecordError(f"image encoding {quoted(msg.encoding)} cannot be read, must be one of {', '.join(_ENCODINGS)}")
     code, channels = _ENCODINGS[msg.encoding]
     dtype = np.dtype((">" if msg.is_bigendian else "<") + code)
     data = np.frombuffer(msg.data, dtype=np.uint8)

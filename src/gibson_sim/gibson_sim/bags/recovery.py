@@ -18,7 +18,6 @@ from io import BytesIO, FileIO
 from pathlib import Path
 from typing import BinaryIO
 
-import yaml
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -28,7 +27,7 @@ from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
 from gibson_sim.bags.mcap_file import MESSAGE, RECORD, ChunkEntry, DataSection, end_of_file, message_index
-from gibson_sim.bags.metadata import TopicRecord, bag_information, read_metadata, write_metadata
+from gibson_sim.bags.metadata import TopicRecord, bag_information, offered_qos, read_metadata, write_metadata
 from gibson_sim.bags.sqlite_file import mend_database
 from gibson_sim.bags.storage import RESERVE_FILE, SUFFIXES, EmptyFileError, FileContents, Storage
 from gibson_sim.errors import RecordError
@@ -189,7 +188,7 @@ def _file_contents(path: Path, section: DataSection, cut_bytes: int) -> FileCont
 
 
 def _topic(channel: Channel, schemas: dict[int, Schema], counts: Counter[int]) -> TopicRecord:
-    qos = yaml.safe_load(channel.metadata.get("offered_qos_profiles", "")) or []
+    qos = offered_qos(channel.metadata.get("offered_qos_profiles", ""))
     schema = schemas.get(channel.schema_id)
     type_hash = channel.metadata.get("topic_type_hash", "")
     return TopicRecord(channel.topic, schema.name if schema else "", qos, type_hash, counts[channel.id])
@@ -197,6 +196,14 @@ def _topic(channel: Channel, schemas: dict[int, Schema], counts: Counter[int]) -
 
 def _contents_if_whole(path: Path) -> FileContents | None:
     """Returns what the summary of a file says if the file ends as it should, else None."""
+    try:
+        return _contents_by_summary(path)
+    except _DAMAGE:
+        return None
+
+
+def _contents_by_summary(path: Path) -> FileContents | None:
+    """Returns the same; raises where the summary is damaged."""
     size = path.stat().st_size
     if size < _FOOTER_BYTES + len(MCAP0_MAGIC):
         return None

@@ -13,12 +13,11 @@ from pathlib import Path
 from sys import intern
 from typing import Any
 
-import yaml
-
 from gibson_sim.bags.digest_comparison import Tick, TickDigests
 from gibson_sim.bags.reader import BagReader
 from gibson_sim.bags.stamps import header_stamp_ns
-from gibson_sim.errors import RecordError
+from gibson_sim.errors import RecordError, TextError
+from gibson_sim.reading import parse_yaml
 from gibson_sim.simulation.requests import EPOCH_REQUESTS
 from gibson_sim.types import NS_PER_S
 
@@ -33,6 +32,9 @@ COMMAND_TYPES: Mapping[str, tuple[str, ...]] = {
     "grasp": ("std_msgs/msg/Bool",),
 }
 """Last part of a command topic's name -> types of its messages."""
+_APPLIED = {"cmd_vel_applied": "cmd_vel"}
+"""Last part of the name of a topic that repeats commands -> that of the topic which they came on. Where a topic has two types, other
+recorders leave it out."""
 _SET_STATE, _LOAD_WORLD = "set_simulation_state", "load_world"
 _STOPPED, _PLAYING = 0, 1
 _CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
@@ -161,7 +163,7 @@ def read_facts(folder: str | Path) -> RunFacts:
         found.settings,
         has_journal=any(_is_journal(topic.name, topic.type_name) for topic in topics),
         has_digests=any(topic.type_name == _DIGEST and topic.count for topic in topics),
-        has_commands=any(_is_command(topic.name, topic.type_name) and topic.count for topic in topics),
+        has_commands=bool(_command_topics({topic.name: topic.type_name for topic in topics if topic.count})),
     )
 
 
@@ -169,8 +171,19 @@ def _is_journal(topic: str, type_name: str) -> bool:
     return type_name == _INPUT and topic.rpartition("/")[2] == _JOURNAL_TOPIC
 
 
-def _is_command(topic: str, type_name: str) -> bool:
-    return type_name in COMMAND_TYPES.get(topic.rpartition("/")[2], ())
+def _command_topics(types: Mapping[str, str]) -> dict[str, str]:
+    """Returns the topics of a bag that hold commands, and for each the one on which they are commands.
+
+    Args:
+        types: of the topics that have messages.
+    """
+    found = {topic: topic for topic, kind in types.items() if kind in COMMAND_TYPES.get(topic.rpartition("/")[2], ())}
+    for topic, type_name in types.items():
+        namespace, slash, last = topic.rpartition("/")
+        command = f"{namespace}{slash}{_APPLIED.get(last, '')}"
+        if last in _APPLIED and command not in found and type_name in COMMAND_TYPES[_APPLIED[last]]:
+            found[topic] = command
+    return found
 
 
 def read_run(folder: str | Path, *, digests: bool = True) -> RecordedRun:
@@ -227,10 +240,19 @@ def _read_part(bag: BagReader, found: _Found, digests: bool) -> None:
     found.duration_ns += last - _first_clock(bag, of_type.get(_CLOCK, ()), first)
 
 
+def mapping_in(text: str) -> dict[str, Any]:
+    """Returns the mapping that a message carries as YAML; empty if the text is none."""
+    try:
+        content = parse_yaml(text)
+    except TextError:
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
 def _take_run_info(message: Any, found: _Found) -> None:
     """Adds the settings of a node; of several render nodes, those of the first, with the cameras of all."""
-    settings, known = yaml.safe_load(message.settings), found.settings.get(message.kind)
-    found.surroundings.setdefault(message.kind, yaml.safe_load(message.platform) | {"gibson_sim": message.version})
+    settings, known = mapping_in(message.settings), found.settings.get(message.kind)
+    found.surroundings.setdefault(message.kind, mapping_in(message.platform) | {"gibson_sim": message.version})
     if known is None:
         found.settings[message.kind] = settings
     elif known.get("cameras") and settings.get("cameras") is not None:
@@ -239,11 +261,11 @@ def _take_run_info(message: Any, found: _Found) -> None:
 
 
 def _read_commands(bag: BagReader, types: Mapping[str, str], clocks: Sequence[str], found: _Found) -> None:
-    """Adds the commands on all topics that a robot listens to."""
-    topics = [name for name, type_name in types.items() if _is_command(name, type_name)]
+    """Adds the commands on all topics that a robot subscribes to."""
+    topics = _command_topics(types)
     begin_ns = _first_clock(bag, clocks, bag.span_ns[0])
     for name, time_ns, data in bag.raw_messages(topics):
-        found.commands.append(RecordedCommand(max(0, time_ns - begin_ns), name, types[name], data))
+        found.commands.append(RecordedCommand(max(0, time_ns - begin_ns), topics[name], types[name], data))
 
 
 def _first_clock(bag: BagReader, clocks: Sequence[str], otherwise_ns: int) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import BinaryIO
 
-from gibson_sim.bags.storage import FULL
+from gibson_sim.writing import FULL
 
 
 class Sink:

@@ -11,10 +11,9 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from gibson_sim.bags.metadata import ROS_DISTRO, VERSION, TopicRecord, dump_information, dump_qos
-from gibson_sim.bags.storage import MIB, EmptyFileError, FileContents
+from gibson_sim.bags.metadata import ROS_DISTRO, VERSION, TopicRecord, dump_information, dump_qos, offered_qos
+from gibson_sim.bags.room import MIB
+from gibson_sim.bags.storage import EmptyFileError, FileContents
 from gibson_sim.errors import RecordError
 
 TRANSACTION_BYTES = 2 * MIB
@@ -179,7 +178,7 @@ def _contents(path: Path, connection: sqlite3.Connection, *, whole: bool) -> Fil
     counts = Counter(dict(connection.execute("SELECT topic_id, COUNT(*) FROM messages GROUP BY topic_id").fetchall()))
     start, end = connection.execute("SELECT MIN(timestamp), MAX(timestamp) FROM messages").fetchone()
     topics = tuple(
-        TopicRecord(name, type_name, yaml.safe_load(qos) or [], type_hash, counts[number])
+        TopicRecord(name, type_name, offered_qos(qos), type_hash, counts[number])
         for number, name, type_name, qos, type_hash in rows.fetchall()
     )
     return FileContents(path, start or 0, end or 0, topics, whole=whole)

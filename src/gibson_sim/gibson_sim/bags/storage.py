@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -14,13 +13,8 @@ from gibson_sim.errors import RecordError
 
 Storage = Literal["mcap", "sqlite3"]
 SUFFIXES: dict[Storage, str] = {"mcap": ".mcap", "sqlite3": ".db3"}
-MIB = 1024 * 1024
-EMERGENCY_BYTES = 8 * MIB
-"""Size of the file that is given up when the disk is full: room for what is in hand, the index and the metadata."""
 RESERVE_FILE = ".reserve"
 """Holds disk space while a bag is recorded, to be given up when the disk is full."""
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Errors that say that nothing more fits."""
 
 
 class EmptyFileError(RecordError):

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Iterator, Sequence
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import av
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.bags.reader import COLOUR_ENCODINGS, DEPTH_ENCODINGS, BagReader, image_to_array
 from gibson_sim.bags.stamps import nominal_period_ns, stamp_ns
+from gibson_sim.bags.video_file import write_frames
 from gibson_sim.errors import RecordError
 from gibson_sim.geometry.transforms import yaw_from_quat
+from gibson_sim.picture_files import write_picture
+from gibson_sim.quoting import quoted
 from gibson_sim.types import NS_PER_S
 
 IMAGE = "sensor_msgs/msg/Image"
@@ -24,8 +25,6 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 DEPTH_RANGE_M = 8.0
 """Depth that has the coldest colour; everything farther has it too. 0 m has the warmest."""
 MAX_FPS = 60.0
-H264 = {"preset": "veryfast", "crf": "20"}
-"""About 100 frames of 1280x480 a second on two cores, and hardly a visible loss."""
 
 Bgr = NDArray[np.uint8]
 
@@ -52,7 +51,7 @@ def image_to_bgr(msg: Any) -> Bgr:
     """
     if msg.encoding not in (*COLOUR_ENCODINGS, *DEPTH_ENCODINGS):
         known = ", ".join((*COLOUR_ENCODINGS, *DEPTH_ENCODINGS))
-        raise RecordError(f"image encoding {msg.encoding!r} has no picture, must be one of {known}")
+        raise RecordError(f"image encoding {quoted(msg.encoding)} has no picture, must be one of {known}")
     pixels = image_to_array(msg)
     if msg.encoding == "rgb8":
         return np.ascontiguousarray(pixels[..., ::-1])
@@ -75,7 +74,7 @@ def write_video(
 
     Args:
         bag: folder of the bag.
-        path: file to write; its folder must exist.
+        path: file to write; its folder is made where it is missing.
         topics: image topics, shown side by side; the first one gives the frames. None = the first colour camera and its depth.
         fps: frames a second of the video; None = as the stamps have it, 60 at most.
         speed: seconds of simulation shown in a second of video.
@@ -84,7 +83,8 @@ def write_video(
         The path.
 
     Raises:
-        RecordError: the bag has no images, or the video cannot be written.
+        RecordError: the bag has no images.
+        WriteError: the video cannot be written; nothing is left of it.
     """
     if not speed > 0.0 or (fps is not None and not fps > 0.0):
         raise RecordError(f"speed is {speed:g} and fps is {fps}; both must be above 0")
@@ -95,16 +95,8 @@ def write_video(
         period = nominal_period_ns(shown) or NS_PER_S / 10.0
         rate = fps or min(NS_PER_S / period * speed, MAX_FPS)
         repeats = repeats_of(shown, NS_PER_S / rate * speed)
-        video: VideoFile | None = None
-        try:
-            for index, picture in panels.pictures(frozenset(np.flatnonzero(repeats).tolist())):
-                if video is None:
-                    video = VideoFile(path, rate, (picture.shape[1], picture.shape[0]))
-                for _ in range(repeats[index]):
-                    video.write(picture)
-        finally:
-            if video is not None:
-                video.close()
+        shown_pictures = panels.pictures(frozenset(np.flatnonzero(repeats).tolist()))
+        write_frames(path, rate, ((int(repeats[index]), picture) for index, picture in shown_pictures))
     return path
 
 
@@ -115,7 +107,7 @@ def write_contact_sheet(
 
     Args:
         bag: folder of the bag.
-        path: file to write; its folder must exist.
+        path: file to write; its folder is made where it is missing.
         columns: images in a row.
         rows: rows of images; fewer if the bag has fewer images.
         topics: image topics, shown one above the other; None = the first colour camera and its depth.
@@ -125,7 +117,8 @@ def write_contact_sheet(
         The path.
 
     Raises:
-        RecordError: the bag has no images, or the file cannot be written.
+        RecordError: the bag has no images.
+        WriteError: the file cannot be written.
     """
     if columns < 1 or rows < 1 or width < 32:
         raise RecordError(f"contact sheet of {columns} columns, {rows} rows and width {width}; must be at least 1, 1 and 32")
@@ -143,23 +136,8 @@ def write_contact_sheet(
     cells += [blank] * (-len(cells) % columns)
     sheet = np.vstack([np.hstack(cells[i : i + columns]) for i in range(0, len(cells), columns)])
     path = Path(path)
-    # Not cv2.imwrite: it prints a warning and returns False where writing fails.
-    ok, png = cv2.imencode(".png", sheet)
-    assert ok, "a picture of uint8 can always be encoded"
-    write_file(path, png.tobytes())
+    write_picture(path, sheet)
     return path
-
-
-def write_file(path: Path, data: bytes) -> None:
-    """Writes a picture.
-
-    Raises:
-        RecordError: it cannot be written.
-    """
-    try:
-        path.write_bytes(data)
-    except OSError as error:
-        raise RecordError(f"picture {path} cannot be written: {error.strerror}") from error
 
 
 class Panels:
@@ -234,7 +212,7 @@ def _default_topics(reader: BagReader) -> list[str]:
     infos = [info for info in reader.topics().values() if info.type_name == IMAGE and info.count]
     if not infos:
         raise RecordError(f"bag {reader.folder} has no images: record while the render node runs, with the image topics")
-    encodings = {info.name: next(reader.messages([info.name]))[2].encoding for info in infos}
+    encodings = {info.name: reader.first(info.name).encoding for info in infos}
     colour = [name for name, encoding in encodings.items() if encoding in COLOUR_ENCODINGS]
     depth = [name for name, encoding in encodings.items() if encoding in DEPTH_ENCODINGS]
     if not colour and not depth:
@@ -258,60 +236,6 @@ def repeats_of(stamps: NDArray[np.int64], step_ns: float) -> NDArray[np.int64]:
     since_start = (stamps - stamps[0]).astype(np.float64)
     borders = (since_start[1:] + since_start[:-1]) / 2.0
     return np.bincount(np.searchsorted(borders, times, side="right"), minlength=len(stamps)).astype(np.int64)
-
-
-class VideoFile:
-    """A video that is being written."""
-
-    def __init__(self, path: Path, fps: float, size: tuple[int, int]) -> None:
-        """Opens it. ``size`` is (width, height), pixels."""
-        if not path.parent.is_dir():
-            raise RecordError(f"video {path}: its folder does not exist; make it first")
-        # H.264 in 4:2:0 wants even sides.
-        self._size = (size[0] + size[0] % 2, size[1] + size[1] % 2)
-        self._path, self._frames = path, 0
-        try:
-            self._container: Any = av.open(str(path), "w", format="mp4", options={"movflags": "faststart"})
-        except OSError as error:
-            raise RecordError(f"video {path} cannot be written: {error}") from error
-        self._stream: Any = self._container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1000), options=H264)
-        self._stream.width, self._stream.height = self._size
-        self._stream.pix_fmt = "yuv420p"
-
-    def write(self, picture: Bgr) -> None:
-        """Appends a frame; pictures must all have the size of the first one, but for one column or row of padding."""
-        right, bottom = self._size[0] - picture.shape[1], self._size[1] - picture.shape[0]
-        if not (0 <= right <= 1 and 0 <= bottom <= 1):
-            raise RecordError(
-                f"an image changes its size to {picture.shape[1]}x{picture.shape[0]} in the bag: no video can be made"
-            )
-        if right or bottom:
-            picture = np.asarray(cv2.copyMakeBorder(picture, 0, bottom, 0, right, cv2.BORDER_REPLICATE), dtype=np.uint8)
-        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="bgr24")
-        frame.pts = self._frames
-        self._frames += 1
-        self._send(frame)
-
-    def _send(self, frame: Any) -> None:
-        """Encodes a frame, or what waits in the encoder where it is None."""
-        try:
-            for packet in self._stream.encode(frame):
-                self._container.mux(packet)
-        except OSError as error:
-            raise RecordError(f"video {self._path} cannot be written: {error}; is the disk full?") from error
-
-    def close(self) -> None:
-        """Finishes the file; a second call does nothing."""
-        container, self._container = self._container, None
-        if container is None:
-            return
-        try:
-            if self._frames:
-                for packet in self._stream.encode(None):
-                    container.mux(packet)
-            container.close()
-        except OSError as error:
-            raise RecordError(f"video {self._path} cannot be finished: {error}; is the disk full?") from error
 
 
 class _Odometry:

@@ -20,9 +20,12 @@ from gibson_sim.bags.definitions import MessageDefinitions, canonical_type
 from gibson_sim.bags.mcap_file import COMPRESSIONS, Compression, McapFile
 from gibson_sim.bags.metadata import FileRecord, Profile, TopicQos, TopicRecord, bag_information, write_metadata
 from gibson_sim.bags.recovery import Repair, repair
+from gibson_sim.bags.room import EMERGENCY_BYTES, MIB, DiskFullError, check_room
 from gibson_sim.bags.sqlite_file import SqliteFile
-from gibson_sim.bags.storage import EMERGENCY_BYTES, FULL, MIB, RESERVE_FILE, SUFFIXES, Storage, StorageFile, Tally
+from gibson_sim.bags.storage import RESERVE_FILE, SUFFIXES, Storage, StorageFile, Tally
 from gibson_sim.errors import RecordError
+from gibson_sim.quoting import quoted
+from gibson_sim.writing import FULL
 
 __all__ = ["EMERGENCY_BYTES", "BagWriter", "Compression", "DiskFullError", "Repair", "Storage", "TopicQos", "repair"]
 
@@ -32,10 +35,6 @@ CHUNK_BYTES = MIB
 CHECK_BYTES = MIB
 """Free space is asked for each time that so many bytes were written."""
 _log = logging.getLogger(__name__)
-
-
-class DiskFullError(RecordError):
-    """The disk is full, or nearly so. The bag was closed and holds everything up to here."""
 
 
 class BagWriter:
@@ -273,12 +272,7 @@ class BagWriter:
             self.folder.mkdir(parents=True, exist_ok=True)
             if any(self.folder.iterdir()):
                 raise RecordError(f"{self.folder} is not empty: bags are never overwritten; choose another folder or delete it")
-            free = shutil.disk_usage(self.folder).free
-            if free < self._reserve_bytes + EMERGENCY_BYTES:
-                raise DiskFullError(
-                    f"the disk of {self.folder} has {free / MIB:.0f} MiB left, recording needs more than "
-                    f"{(self._reserve_bytes + EMERGENCY_BYTES) / MIB:.0f} MiB: make room, choose another disk or reserve less"
-                )
+            check_room(self.folder, self._reserve_bytes)
             with self._emergency.open("xb") as file:
                 os.posix_fallocate(file.fileno(), 0, EMERGENCY_BYTES)
         except OSError as error:
@@ -343,11 +337,13 @@ def _check(
 ) -> None:  # fmt: skip
     """Raises what is wrong with the settings of a writer."""
     if storage not in SUFFIXES:
-        raise RecordError(f"storage is {storage!r}, must be one of {', '.join(SUFFIXES)}")
+        raise RecordError(f"storage is {quoted(storage)}, must be one of {', '.join(SUFFIXES)}")
     if compression not in COMPRESSIONS:
-        raise RecordError(f"compression is {compression!r}, must be one of {', '.join(COMPRESSIONS)}")
+        raise RecordError(f"compression is {quoted(compression)}, must be one of {', '.join(COMPRESSIONS)}")
     if storage == "sqlite3" and compression != "none":
-        raise RecordError(f"compression is {compression!r}, must be none with storage sqlite3: only mcap has compressed chunks")
+        raise RecordError(
+            f"compression is {quoted(compression)}, must be none with storage sqlite3: only mcap has compressed chunks"
+        )
     if chunk_bytes < 1 or reserve_bytes < 0:
         raise RecordError(f"chunk_bytes is {chunk_bytes} and reserve_bytes is {reserve_bytes}; must be at least 1 and 0")
     if max_file_bytes < 0 or max_file_ns < 0:

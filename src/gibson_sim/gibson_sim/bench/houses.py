@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import matrix_from_pose
+from gibson_sim.picture_files import write_picture
 from gibson_sim.render.clusters import places
 from gibson_sim.render.solids import find_solids
 from gibson_sim.scenes.collision.triangles import components
@@ -20,6 +21,7 @@ from gibson_sim.scenes.generator.rooms import wobble
 from gibson_sim.scenes.mesh import MeshLoader, scene_roots
 from gibson_sim.scenes.mesh_types import MeshPart, TextureSource, area_normals
 from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.writing import write_file
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -49,7 +51,7 @@ def make_scan(scene: SceneSpec, triangles: int, folder: Path) -> int:
     vertices, uvs, corners = divided(vertices, uvs, corners, triangles)
     vertices = vertices + np.stack([_unevenness(vertices, axis) for axis in range(3)], axis=1)
     corners = opened(vertices, corners)
-    cv2.imwrite(str(folder / "atlas.jpg"), cv2.cvtColor(atlas, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 92])
+    write_picture(folder / "atlas.jpg", cv2.cvtColor(atlas, cv2.COLOR_RGB2BGR), (cv2.IMWRITE_JPEG_QUALITY, 92))
     solid = Solid()
     solid.add(Paint("scan", "atlas.jpg", unlit=True), vertices, area_normals(vertices, corners), uvs, corners)
     write_glb(folder / "mesh.glb", solid)
@@ -60,7 +62,7 @@ def make_scan(scene: SceneSpec, triangles: int, folder: Path) -> int:
         "floors": list(scene.floors),
         "objects": [{"name": "scan", "mesh": "mesh.glb", "semantic_class": "building"}],
     }
-    (folder / "scene.yaml").write_text(yaml.safe_dump(described, sort_keys=False), encoding="utf-8")
+    write_file(folder / "scene.yaml", yaml.safe_dump(described, sort_keys=False))
     return len(corners)
 
 

@@ -17,6 +17,7 @@ from gibson_sim.bench.scaling_report import report_text as scaling_text
 from gibson_sim.bench.soak_report import report_text as soak_text
 from gibson_sim.bench.table1_report import report_text as table1_text
 from gibson_sim.errors import ConfigError
+from gibson_sim.writing import write_file
 
 _TITLES = {
     "table1": "The paper's table",
@@ -59,7 +60,6 @@ def write_page(data: Path, output: Path, images: Path) -> list[str]:
             f"{data}: holds no report of {', '.join(_TITLES)}; run `gibson-sim bench table1 --json {data}/table1_cpu.json`"
         )
     before, after = _around(output)
-    output.parent.mkdir(parents=True, exist_ok=True)
     images.mkdir(parents=True, exist_ok=True)
     links = Path(os.path.relpath(images, output.parent)).as_posix(), Path(os.path.relpath(data, output.parent)).as_posix()
     parts = summary([table_of(read) for _, read in reports["table1"]])
@@ -69,7 +69,7 @@ def write_page(data: Path, output: Path, images: Path) -> list[str]:
             for name, read in reports[kind]:
                 parts.append(f"### {name.replace('_', ' ')}\n\n[All figures]({links[1]}/{name}.json).")
                 parts += _SECTIONS[kind](name, read, images, links[0])
-    output.write_text(f"{before}{BEGIN}\n\n{joined(parts)}\n\n{END}{after}", encoding="utf-8")
+    write_file(output, f"{before}{BEGIN}\n\n{joined(parts)}\n\n{END}{after}")
     return [*said, f"written: {output}"]
 
 

@@ -12,6 +12,7 @@ from gibson_sim.bench.rows import FREE, HOST, IN_PROCESS, LOCKSTEP, Table1
 from gibson_sim.bench.scaling import KINDS, ScalingReport
 from gibson_sim.bench.soak import SoakReport
 from gibson_sim.errors import ConfigError
+from gibson_sim.writing import replacing
 
 _COLORS = {IN_PROCESS: "#1b6ca8", LOCKSTEP: "#e07b39", FREE: "#5b8c5a"}
 
@@ -56,7 +57,8 @@ def plot_table1(report: Table1, path: Path) -> None:
         axis.grid(axis="x", alpha=0.3)
     if counts:
         figure.legend(*axes[0][0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=4)
-    figure.savefig(path)
+    with replacing(path) as draft:
+        figure.savefig(draft)
 
 
 def plot_scaling(report: ScalingReport, path: Path) -> None:
@@ -83,7 +85,8 @@ def plot_scaling(report: ScalingReport, path: Path) -> None:
         axis.grid(alpha=0.3)
     for axis in cells[len(kinds) :]:
         axis.set_visible(False)
-    figure.savefig(path)
+    with replacing(path) as draft:
+        figure.savefig(draft)
 
 
 def _short(value: int) -> str:
@@ -113,7 +116,8 @@ def plot_soak(report: SoakReport, path: Path) -> None:
                 axis.legend(fontsize=7)
         axes[0][column].set_title(title, fontsize=10)
         axes[1][column].set_xlabel("minutes")
-    figure.savefig(path)
+    with replacing(path) as draft:
+        figure.savefig(draft)
 
 
 def _minutes(seconds: Sequence[float], count: int) -> list[float]:

@@ -9,7 +9,9 @@ import numpy as np
 import yaml
 
 from gibson_sim.bench.paper import Mode
+from gibson_sim.reading import read_yaml_file
 from gibson_sim.resources import find_robot
+from gibson_sim.writing import write_file
 
 STEP_HZ = 240
 SUBSTEPS = (24, 4, 1)
@@ -70,14 +72,14 @@ def write_changed_robot(folder: Path, size: tuple[int, int], *, fov_y_deg: float
         lidar: whether it keeps its lidar.
     """
     home = find_robot(ROBOT)
-    settings = yaml.safe_load((home / "robot.yaml").read_text(encoding="utf-8"))
+    settings = read_yaml_file(home / "robot.yaml")
     settings["urdf"] = str((home / settings["urdf"]).resolve())
     camera = {**settings["cameras"][0], "width": size[0], "height": size[1]}
     settings["cameras"] = [camera if fov_y_deg is None else {**camera, "fov_y_deg": fov_y_deg}]
     if not lidar:
         del settings["lidar"]
     path = folder / "robot.yaml"
-    path.write_text(yaml.safe_dump(settings), encoding="utf-8")
+    write_file(path, yaml.safe_dump(settings))
     return path
 
 

@@ -13,7 +13,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from gibson_sim.bench import timing
@@ -22,6 +21,7 @@ from gibson_sim.bench.timing import FIVE, rates_of
 from gibson_sim.bench.workers import Worker, WorkerError
 from gibson_sim.config import DETAIL_PX
 from gibson_sim.errors import GibsonSimError, RenderError
+from gibson_sim.picture_files import write_picture
 from gibson_sim.types import Output
 
 SCENES = ("rooms:100k", "rooms:500k", "rooms:1m")
@@ -312,7 +312,7 @@ def _pictures(
             continue  # it is said when it is measured
         image = np.frombuffer(pixels, dtype=np.uint8).reshape(rows, columns, 3)
         file = f"{scene.name}_{width}x{height}_{name}.png".replace(" ", "_").replace(":", "_").replace(",", "")
-        cv2.imwrite(str(plan.pictures / file), np.ascontiguousarray(image[:, :, ::-1]))
+        write_picture(plan.pictures / file, image[:, :, ::-1])
 
 
 def against_peers(rows: Sequence[Row]) -> list[Against]:

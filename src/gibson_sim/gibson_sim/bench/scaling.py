@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from gibson_sim import interrupts
 from gibson_sim.bench import timing
 from gibson_sim.bench.memory import resident_mb
 from gibson_sim.bench.ours import STILL, pose_of
@@ -131,8 +132,10 @@ def _in_processes(kind: str, value: int, frames: int) -> ScalingRow:
     """Returns a case, measured in a process of its own, or in as many as it is about."""
     count = value if kind == "processes" else 1
     # Spawned: a forked process would have the memory of this one, and its OpenGL.
-    with ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn")) as pool:
-        found = [job.result() for job in [pool.submit(_case, kind, value, frames) for _ in range(count)]]
+    with ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=interrupts.end_silently) as pool:
+        with interrupts.held_back():  # Ctrl-C reaches them too
+            jobs = [pool.submit(_case, kind, value, frames) for _ in range(count)]
+        found = [job.result() for job in jobs]
     ms = float(np.median([ms for ms, _ in found]))
     steps = count if kind == "processes" else value if kind == "environments" else 1
     return ScalingRow(kind, value, round(ms, 4), round(1e3 * steps / ms, 2), round(sum(mb for _, mb in found), 1))

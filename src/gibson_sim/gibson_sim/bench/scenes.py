@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from gibson_sim.bench import houses
 from gibson_sim.errors import ConfigError, GibsonSimError, SceneError
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, Mat4
+from gibson_sim.picture_files import write_picture
 from gibson_sim.resources import cache_folder, find_scene
 from gibson_sim.scenes import generator
 from gibson_sim.scenes.floor_map import scene_floor_map
@@ -25,6 +26,7 @@ from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.mesh import load_mesh
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.scenes.tour import choose_start, plan_tour
+from gibson_sim.writing import replacing, write_file
 
 CAMERA_HEIGHT = 1.2
 """Above the floor, metres."""
@@ -177,22 +179,17 @@ def _export(name: str, file: Path, folder: Path) -> None:
     part = mesh.parts[0]
     if len(mesh.parts) != 1 or part.uvs is None or part.material.texture is None:
         raise SceneError(f"{name}: has {len(mesh.parts)} materials; the peers draw scenes of one mesh with one texture")
-    cv2.imwrite(
-        str(folder / "atlas.png"),
-        np.ascontiguousarray(part.material.texture.pixels[:, :, 2::-1]),
-        [cv2.IMWRITE_PNG_COMPRESSION, 1],
-    )
-    (folder / "mesh.mtl").write_text("newmtl atlas\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd atlas.png\n", encoding="utf-8")
-    with (folder / "mesh.obj").open("w", encoding="utf-8") as obj:
+    write_picture(folder / "atlas.png", part.material.texture.pixels[:, :, 2::-1], (cv2.IMWRITE_PNG_COMPRESSION, 1))
+    write_file(folder / "mesh.mtl", "newmtl atlas\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd atlas.png\n")
+    with replacing(folder / "mesh.obj") as draft, draft.open("w", encoding="utf-8") as obj:
         obj.write("mtllib mesh.mtl\nusemtl atlas\n")
         uvs = np.stack([part.uvs[:, 0], 1.0 - part.uvs[:, 1]], axis=1)
         for word, rows in (("v", part.vertices), ("vt", uvs), ("vn", part.normals)):
             obj.writelines(f"{word} " + " ".join(f"{c:.6g}" for c in row) + "\n" for row in rows.tolist())
         obj.writelines("f " + " ".join(f"{i}/{i}/{i}" for i in row) + "\n" for row in (part.triangles + 1).tolist())
     # Last, and at once: where this file is, all of them are whole.
-    half = folder / "half.npz"
-    np.savez(half, vertices=part.vertices, normals=part.normals, uvs=part.uvs, triangles=part.triangles)
-    half.rename(folder / "mesh.npz")
+    with replacing(folder / "mesh.npz") as draft:
+        np.savez(draft, vertices=part.vertices, normals=part.normals, uvs=part.uvs, triangles=part.triangles)
 
 
 def problem(error: GibsonSimError | Exception) -> str:

@@ -7,11 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.bags.check import check_bag
-from gibson_sim.bags.film import PICTURES, write_film, write_film_strip
+from gibson_sim.bags.film import write_film, write_film_strip
 from gibson_sim.bags.video import write_contact_sheet
 from gibson_sim.bags.writer import repair
 from gibson_sim.cli.pictures import write_pictures
 from gibson_sim.errors import RecordError
+from gibson_sim.picture_files import SUFFIXES
 
 
 def add_parser(subparsers: Any) -> None:
@@ -74,7 +75,7 @@ def _sheet(args: argparse.Namespace) -> int:
 
 def _film(args: argparse.Namespace) -> int:
     topics = [topic.strip() for topic in args.topics.split(",") if topic.strip()]
-    known = (*PICTURES, ".mp4")
+    known = (*SUFFIXES, ".mp4")
     for path in args.files:
         if path.suffix.lower() not in known:
             raise RecordError(f"film {path}: the name must end in {', '.join(known)}")
@@ -83,7 +84,7 @@ def _film(args: argparse.Namespace) -> int:
         given: dict[str, Any] = {"topics": topics, "begin": args.begin, "end": args.end}
         if args.width is not None:
             given["width"] = args.width
-        if path.suffix.lower() in PICTURES:
+        if path.suffix.lower() in SUFFIXES:
             print(write_film_strip(args.bag, path, columns=args.columns, **given))
         else:
             print(write_film(args.bag, path, fps=args.fps, speed=args.speed, **given))

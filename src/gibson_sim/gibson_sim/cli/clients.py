@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import os
-import sys
 from dataclasses import fields
 from typing import Any
 
-from gibson_sim.cli.environment import PARENT_VARIABLE, node_environment, require_nodes
+from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.options import add_settings, node_arguments, settings_from_args
+from gibson_sim.cli.processes import become
 from gibson_sim.client_config import DriveConfig, RecordConfig, SnapshotConfig
 
 
@@ -19,7 +18,7 @@ def add_parser(subparsers: Any) -> None:
     drive.add_argument(
         "drive", nargs="?", default="keyboard", help="tour, forward, square, spin, keyboard, or a file (default: keyboard)"
     )
-    add_settings(drive, DriveConfig, ("scene", "robot", "length", "linear", "angular", "stamped"))
+    add_settings(drive, DriveConfig, ("scene", "robot", "length", "linear", "angular", "stamped", "timeout"))
     drive.set_defaults(run=lambda args: _become("drive", DriveConfig, args))
 
     record = subparsers.add_parser("record", help="record topics of a running simulation into a rosbag2 bag")
@@ -40,7 +39,4 @@ def _become(name: str, cls: type[Any], args: argparse.Namespace) -> int:
     require_nodes()
     config = settings_from_args(cls, args)
     environment = node_environment(domain_id=args.domain_id)
-    del environment[PARENT_VARIABLE]
-    command = [sys.executable, "-m", f"gibson_sim.ros.{name}_node", *node_arguments(config)]
-    sys.stdout.flush()
-    os.execve(command[0], command, environment)
+    become(f"{name}_node", node_arguments(config), environment)

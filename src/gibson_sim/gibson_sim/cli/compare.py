@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim import __version__
+from gibson_sim.bags.folders import check_bag
 from gibson_sim.cli.exit_codes import ExitCode
 from gibson_sim.errors import ConfigError
+from gibson_sim.writing import write_file
 
 
 def add_parser(subparsers: Any) -> None:
@@ -50,6 +52,8 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _run(args: argparse.Namespace) -> ExitCode:
+    for folder in (args.real, args.sim):  # both, before the first is read, which takes a while
+        check_bag(folder)
     # Loaded here: the other sub-commands need no SciPy.
     from gibson_sim.bags.comparison.compare import compare
     from gibson_sim.bags.comparison.figures import figures, text_table
@@ -58,7 +62,7 @@ def _run(args: argparse.Namespace) -> ExitCode:
     from gibson_sim.bags.comparison.plots import require_matplotlib
     from gibson_sim.bags.comparison.robot_file import robot_file, write_fitted
     from gibson_sim.bags.comparison.topics import topic_options
-    from gibson_sim.robots.load import load_robot
+    from gibson_sim.scenes.robot_files import load_robot
 
     if args.output is not None and not args.fit:
         raise ConfigError(f"--output {args.output} is what --fit writes: add --fit, or leave it out")
@@ -78,6 +82,9 @@ def _run(args: argparse.Namespace) -> ExitCode:
     if args.fit:
         changed = [one for one in comparison.parameters if one.changes]
         output = write_fitted(robot_file(args.robot), changed, args.output or Path("fitted.yaml"))
+        for one in sorted(comparison.parameters, key=lambda parameter: not parameter.changes):
+            if one.changes or one.deviation:  # what the messages say and the file has needs no word
+                print(one.verdict)
         print(f"wrote {output}: {len(changed)} values changed; try it with `gibson-sim run --robot {output}`")
     return ExitCode.OK
 
@@ -90,9 +97,5 @@ def _page(comparison: Any, robot: str) -> str:
 
 
 def _write(path: Path, text: str) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path} cannot be written ({error.strerror}); give another file") from error
+    write_file(path, text)
     print(f"wrote {path}")

@@ -14,6 +14,7 @@ from gibson_sim.bags.reader import BagReader
 from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.exit_codes import ExitCode
 from gibson_sim.cli.job import STATE_TOPIC, Job, run_job, say
+from gibson_sim.cli.parser import choice_error
 from gibson_sim.cli.report_file import write_json
 from gibson_sim.client_config import RecordConfig, TaskConfig
 from gibson_sim.config import DEFAULT_SCENE, PhysicsConfig, RenderConfig
@@ -21,6 +22,7 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.geometry.transforms import yaw_from_quat
 from gibson_sim.resources import find_scene
 from gibson_sim.types import NS_PER_S
+from gibson_sim.writing import write_file
 
 if TYPE_CHECKING:
     from gibson_sim.tasks.doors import HingedDoor
@@ -97,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
 def _check(args: argparse.Namespace) -> None:
     """Raises ConfigError where an option is impossible."""
     if args.demo not in DEMOS:
-        raise ConfigError(f"demo {args.demo!r} is unknown; known: {', '.join(DEMOS)}")
+        raise ConfigError(f"demo {choice_error(args.demo, DEMOS)}")
     if not 0.1 <= args.image_rate <= _MOST_HZ:
         raise ConfigError(f"--image-rate is {args.image_rate:g} Hz, must be 0.1 to {_MOST_HZ:g}")
     if not 1 <= args.columns <= 100:
@@ -111,7 +113,7 @@ def _plan(args: argparse.Namespace, folder: Path, episode: Episode, door: Hinged
     """Returns the job: the simulation, who records it, and the task node that does the task."""
     views = folder / "views.yaml"
     width, height = PhysicsConfig(view_size=args.size).wanted_view_size()
-    views.write_text(json.dumps({"cameras": [_view(door, width, height, args.image_rate)]}))
+    write_file(views, json.dumps({"cameras": [_view(door, width, height, args.image_rate)]}))
     x, y, _ = episode.start.position
     yaw_deg = math.degrees(yaw_from_quat(episode.start.quat_xyzw))
     job = Job(folder, bag=args.out / "bag", keep_bag=True)

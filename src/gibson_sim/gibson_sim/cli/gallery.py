@@ -6,12 +6,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-import cv2
-
 from gibson_sim.cli.exit_codes import ExitCode
 from gibson_sim.config import DEFAULT_SCENE
-from gibson_sim.errors import GibsonSimError
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_matrix
+from gibson_sim.picture_files import write_picture
 from gibson_sim.resources import find_config
 from gibson_sim.scenes.placement import populate
 from gibson_sim.scenes.randomise_yaml import load_rules
@@ -43,10 +41,6 @@ def _run(args: argparse.Namespace) -> ExitCode:
     rules = load_rules(find_config(args.rules, "randomisation"))
     picture = gallery(drawn_scene(scene, ()), pose_from_matrix(eye), rules, default_folder())
     path = Path(args.output)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(path), picture[:, :, ::-1]):
-        raise GibsonSimError(
-            f"{path} cannot be written: is the folder writable and the disk not full, and does the name end in .png?"
-        )
+    write_picture(path, picture[:, :, ::-1])
     print(path)
     return ExitCode.OK

@@ -5,28 +5,35 @@ from __future__ import annotations
 import json
 import shutil
 import sys
-import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from gibson_sim.bags.room import check_room
 from gibson_sim.cli.environment import domain_of
 from gibson_sim.cli.exit_codes import ExitCode
 from gibson_sim.cli.processes import NodeProcess, StopRequest
 from gibson_sim.cli.report_file import write_json
+from gibson_sim.cli.restarts import Restarts
 from gibson_sim.cli.shared_memory import remove_dead_segments
-from gibson_sim.errors import RecordError
+from gibson_sim.errors import ConfigError, GibsonSimError, RecordError
 from gibson_sim.simulation.domain_lock import DomainLock
+from gibson_sim.simulation.job_folder import LOADED, JobFolder
 
-MAX_RESTARTS = 3
+MAX_RESTARTS, RESTART_WINDOW_S = 3, 600.0
+"""A render node that crashes once more within this time, seconds of wall time, ends the run."""
 USER_ERROR = 1
 """Exit code of a node whose settings, scene or machine is at fault: starting it again would not help."""
+_LOADING = ("physics", "render")
+"""Nodes that take long to load, in the order in which they start; the others are started once physics has a world."""
 ENDS_THE_JOB = ("physics", "drive", "snapshot", "replay", "task")
 """Nodes after whose end nothing is left to do."""
-STATE_TOPIC, ROBOTS, CAMERAS = "scene_state", "robots", "cameras"
-"""What physics waits for readers of, before time begins."""
+STATE_TOPIC, ROBOTS, CAMERAS, COMMANDS = "scene_state", "robots", "cameras", "commands"
+"""What physics waits for subscribers of, before time begins; of commands, for their publishers."""
+END_FIRST = ("physics", "record")
+"""Time ends first, then who recorded it, so that the recording lasts to the last step; then all others."""
 
 
 @dataclass
@@ -35,21 +42,22 @@ class Job:
 
     folder: Path
     configs: dict[str, Any] = field(default_factory=dict)
-    """Node name -> settings, in the order in which they are stopped: clients first, physics last."""
+    """Node name -> settings; started in the order from the last to the first."""
     bag: Path | None = None
     keep_bag: bool = False
     video: Path | None = None
     summary: Path | None = None
 
 
-def check_new_bag(bag: Path) -> None:
-    """Checks that a bag can be recorded there.
+def check_new_bag(bag: Path, reserve_mb: float) -> None:
+    """Checks that a bag can be recorded there, with so much of the disk left free, MB.
 
     Raises:
-        RecordError: something is there already.
+        RecordError: something is there already, or the disk is full.
     """
     if bag.exists() and (not bag.is_dir() or any(bag.iterdir())):
         raise RecordError(f"--record {bag}: it is there already and is not an empty folder; give another name or remove it")
+    check_room(bag, round(reserve_mb * 1e6))
 
 
 def run_job(plan: Callable[[Path], Job], environment: dict[str, str]) -> tuple[int, dict[str, dict[str, Any]]]:
@@ -65,11 +73,12 @@ def run_job(plan: Callable[[Path], Job], environment: dict[str, str]) -> tuple[i
     Raises:
         GibsonSimError: the job is impossible, or another simulation runs there; nothing was started.
     """
-    with tempfile.TemporaryDirectory(prefix="gibson-sim-") as temporary:
-        job = plan(Path(temporary))
+    with JobFolder() as folder:
+        job = plan(folder.path)
         lock = DomainLock(domain_of(environment))
+        folder.add_to(environment)
         try:
-            running = JobRun(job, environment)
+            running = JobRun(job, environment, inherit=(folder.descriptor,))
             return running.run(), running.found
         finally:
             remove_dead_segments()
@@ -79,11 +88,13 @@ def run_job(plan: Callable[[Path], Job], environment: dict[str, str]) -> tuple[i
 class JobRun:
     """The running job."""
 
-    def __init__(self, job: Job, environment: dict[str, str]) -> None:
-        self._job, self._environment = job, environment
+    def __init__(self, job: Job, environment: dict[str, str], *, inherit: Sequence[int] = ()) -> None:
+        """``inherit``: file descriptors that every node inherits."""
+        self._job, self._environment, self._inherit = job, environment, inherit
         self._nodes: dict[str, NodeProcess] = {}
-        self._restarts = 0
+        self._restarts = Restarts(MAX_RESTARTS, RESTART_WINDOW_S)
         self._code = ExitCode.OK
+        self._accepted = "physics" not in job.configs
         self.found: dict[str, dict[str, Any]] = {}
         """Node name -> what it measured; once the job is over."""
 
@@ -92,16 +103,41 @@ class JobRun:
         stop = StopRequest()
         remove_dead_segments()  # whoever comes upon the port of a dead process waits for an answer of it
         try:
-            # Physics first: it has the most to do before anybody can go on.
-            for name in reversed(self._job.configs):
-                self._nodes[name] = NodeProcess(name, self._job.configs[name], self._environment)
+            # What cannot be simulated or drawn is refused before anybody writes or says anything.
+            for name in _LOADING:
+                if name in self._job.configs:
+                    self._start(name)
             while not stop.count and not self._finished():
+                if not self._accepted and (note := self._job.folder / LOADED).exists() and not self._accept(note.read_text()):
+                    break
                 time.sleep(0.05)
         finally:
             self._stop_all(stop)
             stop.close()
-        self._report()
+        if self._accepted:
+            self._report()
         return int(self._code)
+
+    def _start(self, name: str) -> None:
+        silent = not self._accepted and name != "physics"
+        self._nodes[name] = NodeProcess(name, self._job.configs[name], self._environment, inherit=self._inherit, silent=silent)
+
+    def _accept(self, cameras: str) -> bool:
+        """Starts the nodes that need a simulation, once physics has taken scene, robots and start; returns False if cameras are lacking."""
+        try:
+            if "render" in self._job.configs:
+                self._job.configs["render"].check_cameras(cameras.splitlines())
+        except ConfigError as error:
+            say(f"error: {error}")
+            self._code = ExitCode.ERROR
+            return False
+        self._accepted = True
+        for node in self._nodes.values():
+            node.speak()
+        for name in reversed(self._job.configs):
+            if name not in _LOADING:
+                self._start(name)
+        return True
 
     def _finished(self) -> bool:
         """Looks after the nodes; returns whether the job is done or lost."""
@@ -111,27 +147,30 @@ class JobRun:
                 continue
             del self._nodes[name]
             if code == 0:
+                node.say_error()
                 if name in ENDS_THE_JOB:
                     return True
-            elif name == "render" and code != USER_ERROR and self._restarts < MAX_RESTARTS:
-                self._restarts += 1
+            elif name == "render" and code != USER_ERROR and self._restarts.allow():
                 remove_dead_segments()
-                say(f"the render node ended with code {code} ({node.last_error()}): starting it again")
-                self._nodes[name] = NodeProcess(name, self._job.configs[name], self._environment)
+                say(f"{node.ending()}; starting it again")
+                self._start(name)
             elif name == "record" and code != USER_ERROR:
-                say(f"error: the recording ended early: {node.last_error()}; the simulation goes on")
+                say(f"error: the recording ended early: {node.reason()}; the simulation goes on")
                 self._code = ExitCode.RECORDING_ENDED_EARLY
             else:
-                died = "" if code == USER_ERROR else f"the {name} node ended with code {code}: "
-                say(f"error: {died}{node.last_error()}")
+                if name == "render" and code != USER_ERROR:
+                    say(
+                        f"the render node crashed {MAX_RESTARTS + 1} times within {RESTART_WINDOW_S / 60:.0f} minutes: the run ends"
+                    )
+                say(f"error: {node.reason() if code == USER_ERROR else node.ending()}")
                 self._code = ExitCode.ERROR if code == USER_ERROR else ExitCode.NODE_DIED
                 return True
         return False
 
     def _stop_all(self, stop: StopRequest) -> None:
-        """Ends the nodes in order: those that listen before those that speak."""
+        """Ends the nodes in order, see ``END_FIRST``."""
         asked = stop.count
-        for name in self._job.configs:
+        for name in (*END_FIRST, *self._job.configs):
             node = self._nodes.pop(name, None)
             if node is not None:
                 node.stop(hurry=lambda: stop.count > asked + 1)
@@ -141,16 +180,28 @@ class JobRun:
         names = dict.fromkeys(("physics", "render", "record", *self._job.configs))
         read = {name: _read_json(self._job.folder / f"{name}.json") for name in names}
         found = self.found = {name: values for name, values in read.items() if values or name in ("physics", "render", "record")}
-        for line in _summary_lines(found, self._restarts):
+        for line in _summary_lines(found, self._restarts.total):
             say(line)
-            write_json(self._job.summary, {**found, "render_restarts": self._restarts})
-        if self._job.video and self._job.bag and found["record"].get("messages"):
-            from gibson_sim.cli.pictures import write_pictures  # OpenCV and a video encoder with it
-
-            for path in write_pictures(self._job.bag, self._job.video):
-                say(f"wrote {path}")
+        self._attempt(lambda: write_json(self._job.summary, {**found, "render_restarts": self._restarts.total}))
+        if self._job.video and found["record"].get("messages"):
+            self._attempt(self._write_pictures)
         if self._job.bag and not self._job.keep_bag:
             shutil.rmtree(self._job.bag, ignore_errors=True)
+
+    def _attempt(self, write: Callable[[], None]) -> None:
+        """Writes what was asked for; says so where that fails, and goes on: what else was asked for is made nevertheless."""
+        try:
+            write()
+        except GibsonSimError as error:
+            say(f"error: {error}")
+            self._code = self._code or ExitCode.ERROR
+
+    def _write_pictures(self) -> None:
+        from gibson_sim.cli.pictures import write_pictures  # OpenCV and a video encoder with it
+
+        assert self._job.bag is not None and self._job.video is not None
+        for path in write_pictures(self._job.bag, self._job.video):
+            say(f"wrote {path}")
 
 
 def _summary_lines(found: dict[str, dict[str, Any]], restarts: int) -> list[str]:

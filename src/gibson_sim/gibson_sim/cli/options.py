@@ -8,6 +8,8 @@ from collections.abc import Iterable
 from dataclasses import fields
 from typing import Any, TypeVar
 
+from gibson_sim.cli.names import check_names
+
 T = TypeVar("T")
 
 
@@ -33,7 +35,10 @@ def _parser_of(name: str, kind: type[Any]) -> Any:
     if name == "rate":
 
         def rate(text: str) -> float:
-            return 0.0 if text == "max" else float(text)
+            try:
+                return 0.0 if text == "max" else float(text)
+            except ValueError:
+                raise argparse.ArgumentTypeError(f"{text!r} is neither a number nor max") from None
 
         return rate
     return kind
@@ -48,10 +53,12 @@ def settings_from_args(cls: type[T], args: argparse.Namespace, **sure: Any) -> T
     """Returns ``cls`` with the options that were given; ``sure`` wins over them.
 
     Raises:
-        ConfigError: a value is not allowed.
+        GibsonSimError: a value is not allowed, or names what does not exist.
     """
     names = [f.name for f in fields(cls)]  # type: ignore[arg-type]
-    return cls(**{**given(args, names), **sure})
+    config = cls(**{**given(args, names), **sure})
+    check_names(config)
+    return config
 
 
 def node_arguments(config: Any) -> list[str]:

@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 import argparse
-import math
+from collections.abc import Mapping
 from dataclasses import Field, fields
 from typing import Any
 
 from gibson_sim.client_config import NODE_CONFIGS
+from gibson_sim.settings import limits_of
 
 
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser("params", help="list every parameter of every node with type, default, limits and meaning")
+    parser.add_argument(
+        "node", nargs="?", choices=tuple(NODE_CONFIGS), metavar="NODE", help=f"{', '.join(NODE_CONFIGS)} (default: all)"
+    )
     parser.add_argument("--markdown", action="store_true", help="as Markdown tables")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Prints the settings; returns 0."""
-    print(markdown() if args.markdown else text(), end="")
+    configs = {args.node: NODE_CONFIGS[args.node]} if args.node else NODE_CONFIGS
+    print(markdown(configs) if args.markdown else text(configs), end="")
     return 0
 
 
-def markdown() -> str:
+def markdown(configs: Mapping[str, type[Any]] = NODE_CONFIGS) -> str:
     """Returns one Markdown table a node."""
     parts = []
-    for node, cls in NODE_CONFIGS.items():
+    for node, cls in configs.items():
         rows = ["| parameter | type | default | allowed | meaning |", "|---|---|---|---|---|"]
         rows += [
             f"| `{f.name}` | {type(f.default).__name__} | `{f.default!r}` | {allowed(f)} | {f.metadata['doc']} |"
@@ -36,10 +41,10 @@ def markdown() -> str:
     return "\n".join(parts)
 
 
-def text() -> str:
+def text(configs: Mapping[str, type[Any]] = NODE_CONFIGS) -> str:
     """Returns the settings as indented text."""
     lines = []
-    for node, cls in NODE_CONFIGS.items():
+    for node, cls in configs.items():
         lines.append(node)
         for f in fields(cls):
             limits = allowed(f)
@@ -49,10 +54,4 @@ def text() -> str:
 
 def allowed(f: Field[Any]) -> str:
     """Returns what values a setting may have, with their unit, in words."""
-    low, high, unit = f.metadata["minimum"], f.metadata["maximum"], f.metadata["unit"]
-    if f.metadata["choices"]:
-        return ", ".join(f.metadata["choices"])
-    if math.isinf(low) and math.isinf(high):
-        return str(unit)
-    limits = f"{low:g} to {high:g}" if not math.isinf(high) else f"{low:g} or more"
-    return f"{limits} {unit}".strip()
+    return ", ".join(f.metadata["choices"]) or limits_of(f)

@@ -9,7 +9,6 @@ from gibson_sim.bags.video import write_contact_sheet, write_video
 
 def write_pictures(bag: Path, video: Path) -> list[Path]:
     """Writes the video and, beside it, a contact sheet with the same name and ``.png``; returns both paths."""
-    video.parent.mkdir(parents=True, exist_ok=True)
     sheet = video.with_suffix(".png")
     write_video(bag, video)
     write_contact_sheet(bag, sheet)

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import sys
 from dataclasses import asdict
 from typing import Any
 
-from gibson_sim.cli.environment import PARENT_VARIABLE, node_environment, require_nodes
+from gibson_sim.bags.folders import check_bag
+from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.options import add_settings, given, settings_from_args
+from gibson_sim.cli.processes import become
 from gibson_sim.client_config import RenderBagConfig
 from gibson_sim.config import RenderConfig
-from gibson_sim.resources import find_config
 
 _RENDER = ("egl_device", "egl_uuid", "egl_library", "detail_px", "compress_textures", "cache", "register_depth", "asset_roots")
 
@@ -46,12 +45,7 @@ def _run(args: argparse.Namespace) -> int:
     """Replaces this process by the one that draws, which so gets the terminal, its signals and its exit code."""
     require_nodes()
     job = settings_from_args(RenderBagConfig, args)
-    if job.randomise:
-        find_config(job.randomise, "randomisation")
     render = RenderConfig(**given(args, _RENDER))
+    check_bag(args.bag)
     environment = node_environment()
-    del environment[PARENT_VARIABLE]
-    values = json.dumps({"bag": asdict(job), "render": asdict(render)})
-    command = [sys.executable, "-m", "gibson_sim.ros.render_bag", values]
-    sys.stdout.flush()
-    os.execve(command[0], command, environment)
+    become("render_bag", [json.dumps({"bag": asdict(job), "render": asdict(render)})], environment)

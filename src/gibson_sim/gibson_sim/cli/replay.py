@@ -13,11 +13,11 @@ from gibson_sim.bags.replaying import RunFacts, read_facts
 from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.exit_codes import ExitCode
 from gibson_sim.cli.job import CAMERAS, STATE_TOPIC, Job, check_new_bag, run_job, say
+from gibson_sim.cli.names import check_names
 from gibson_sim.cli.options import add_settings, given, settings_from_args
 from gibson_sim.client_config import RecordConfig, ReplayConfig
 from gibson_sim.config import PhysicsConfig, RenderConfig
 from gibson_sim.errors import ConfigError, RecordError
-from gibson_sim.resources import find_scene
 
 _PHYSICS = ("scene", "robot", "start", "rate", "seed", "randomise", "randomise_seed", "views", "participant_timeout")
 _RENDER = ("egl_device", "egl_uuid", "egl_library", "cameras", "asset_roots", "cache")
@@ -100,9 +100,10 @@ def _plan(args: argparse.Namespace, facts: RunFacts, folder: Path) -> Job:
     waits = {STATE_TOPIC: 1 + render}
     if args.record:
         job.bag, job.keep_bag = Path(args.record), True
-        check_new_bag(job.bag)
         record = {"output": str(job.bag), "summary_path": str(folder / "record.json")}
-        job.configs["record"] = settings_from_args(RecordConfig, args, duration=0.0, **record)
+        settings = settings_from_args(RecordConfig, args, duration=0.0, **record)
+        check_new_bag(job.bag, settings.reserve_mb)
+        job.configs["record"] = settings
         waits.update({STATE_TOPIC: waits[STATE_TOPIC] + 1, **({CAMERAS: 1} if render else {})})
     physics = _settings(PhysicsConfig, facts.settings.get("physics", {}), args, _PHYSICS)
     physics = {
@@ -114,7 +115,7 @@ def _plan(args: argparse.Namespace, facts: RunFacts, folder: Path) -> Job:
         "summary_path": str(folder / "physics.json"),
     }
     config = PhysicsConfig(**physics)
-    find_scene(config.scene)
+    check_names(config)
     job.configs["replay"] = ReplayConfig(
         bag=args.bag,
         lockstep=lockstep,

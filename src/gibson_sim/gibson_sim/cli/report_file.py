@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.settings import nearest
+from gibson_sim.writing import write_file
 
 
 def add_report_options(parser: argparse.ArgumentParser, *, markdown: bool = True) -> None:
@@ -20,10 +22,13 @@ def add_report_options(parser: argparse.ArgumentParser, *, markdown: bool = True
 
 
 def write_json(path: Path | None, values: Any) -> None:
-    """Writes values into a file; its folder is made where it is missing. ``None`` = no file was asked for."""
+    """Writes values into a file; its folder is made where it is missing. ``None`` = no file was asked for.
+
+    Raises:
+        WriteError: it cannot be written.
+    """
     if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+        write_file(path, json.dumps(values, indent=1) + "\n")
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -39,8 +44,17 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def parse_device(text: str | None) -> int | str | None:
-    """Returns what ``--device`` names: the number of an EGL device, or a part of its name."""
-    return int(text) if text is not None and text.isdigit() else text
+    """Returns what ``--device`` names: the number of an EGL device, or a part of its name.
+
+    Raises:
+        GraphicsUnavailableError: it cannot draw; said before anything is loaded.
+    """
+    device = int(text) if text is not None and text.isdigit() else text
+    if device is not None:
+        from gibson_sim.render.context import open_context
+
+        open_context(device).close()
+    return device
 
 
 def chosen(text: str, known: Collection[str]) -> tuple[str, ...]:
@@ -52,7 +66,8 @@ def chosen(text: str, known: Collection[str]) -> tuple[str, ...]:
     names = tuple(name for name in text.split(",") if name) or tuple(known)
     unknown = [name for name in names if name not in known]
     if unknown:
-        raise ConfigError(f"--only: {', '.join(unknown)} must be of {', '.join(known)}")
+        hint = nearest(unknown[0], tuple(known))
+        raise ConfigError(f"--only: {', '.join(unknown)} must be of {', '.join(known)}{f'; {hint}' if hint else ''}")
     return names
 
 

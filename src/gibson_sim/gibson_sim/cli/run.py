@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.cli.environment import node_environment, require_nodes
-from gibson_sim.cli.job import CAMERAS, ROBOTS, STATE_TOPIC, Job, check_new_bag, run_job
+from gibson_sim.cli.job import CAMERAS, COMMANDS, ROBOTS, STATE_TOPIC, Job, check_new_bag, run_job
 from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.client_config import DriveConfig, RecordConfig, SnapshotConfig
 from gibson_sim.config import PhysicsConfig, RenderConfig
 from gibson_sim.errors import ConfigError
-from gibson_sim.resources import find_config, find_scene
 
 _OF_ONE_ROBOT = ("clock", "tf", "odom", "ground_truth/odom", "joint_states", STATE_TOPIC)
 """Topics that are sure to be there, whatever the robot has."""
@@ -56,6 +55,7 @@ def add_parser(subparsers: Any) -> None:
             "view_size",
             "view_rate",
             "cmd_vel_timeout",
+            "cmd_vel_type",
             "grasp_mode",
             "grasp_distance",
             "grasp_force",
@@ -104,19 +104,11 @@ def _plan(args: argparse.Namespace, folder: Path) -> Job:
         GibsonSimError: an option is impossible; nothing was started yet.
     """
     wanted = settings_from_args(PhysicsConfig, args)
-    find_scene(wanted.scene)
-    if wanted.randomise:
-        find_config(wanted.randomise, "randomisation")
-    if wanted.views:
-        from gibson_sim.scenes.load_views import read_views  # robots and cameras with it
-
-        read_views(wanted.views)
     job = Job(folder, video=_new_file(args.video), summary=Path(args.summary) if args.summary else None)
     waits = {} if args.no_render else {STATE_TOPIC: 1}
     physics: dict[str, Any] = {"summary_path": str(folder / "physics.json")}
     if args.drive:
-        job.configs["drive"] = _drive_settings(args)
-        waits[ROBOTS] = 1
+        waits[ROBOTS] = waits[COMMANDS] = 1
         if args.drive == "tour" and args.publish_map_tf is None:
             physics["publish_map_tf"] = True
     if args.snapshot:
@@ -124,13 +116,18 @@ def _plan(args: argparse.Namespace, folder: Path) -> Job:
     if args.record or args.video:
         job.bag = Path(args.record) if args.record else folder / "bag"
         job.keep_bag = bool(args.record)
-        check_new_bag(job.bag)
         record = {"output": str(job.bag), "summary_path": str(folder / "record.json")}
-        job.configs["record"] = settings_from_args(RecordConfig, args, duration=0.0, **record)
-        topics = [topic.lstrip("/") for topic in job.configs["record"].wanted_topics()]
+        settings = settings_from_args(RecordConfig, args, duration=0.0, **record)
+        check_new_bag(job.bag, settings.reserve_mb)
+        job.configs["record"] = settings
+        topics = [topic.lstrip("/") for topic in settings.wanted_topics()]
         cameras = () if args.no_render else (CAMERAS,)
         for topic in [t for t in topics if t in _OF_ONE_ROBOT] if topics else (STATE_TOPIC, ROBOTS, *cameras):
             waits[topic] = waits.get(topic, 0) + 1
+    if args.drive:
+        topics = [topic.lstrip("/") for topic in job.configs["record"].wanted_topics()] if job.bag else ["none"]
+        recorded = not topics or "cmd_vel" in topics
+        job.configs["drive"] = _drive_settings(args, wanted.cmd_vel_type, subscribers=1 + recorded)
     if not args.no_render:
         job.configs["render"] = settings_from_args(RenderConfig, args, summary_path=str(folder / "render.json"))
     elif args.video or args.snapshot:
@@ -143,14 +140,18 @@ def _plan(args: argparse.Namespace, folder: Path) -> Job:
     return job
 
 
-def _drive_settings(args: argparse.Namespace) -> DriveConfig:
-    """Returns the drive's settings; a tour is as long as the duration allows."""
-    given: dict[str, Any] = {}
+def _drive_settings(args: argparse.Namespace, cmd_vel_type: str, subscribers: int) -> DriveConfig:
+    """Returns the drive's settings: a tour is as long as the duration allows, and the type of its commands one that is received."""
+    given: dict[str, Any] = {"subscribers": subscribers}
     if args.drive == "keyboard":
         raise ConfigError("--drive keyboard needs the terminal: run `gibson-sim drive keyboard` in a second one")
     config = settings_from_args(DriveConfig, args)
     if args.duration and args.length is None and args.drive == "tour":
         given["length"] = max(1.0, args.duration * config.linear)
+    if cmd_vel_type == "stamped":
+        given["stamped"] = True
+    elif cmd_vel_type == "twist" and config.stamped:
+        raise ConfigError("--stamped sends TwistStamped, which --cmd-vel-type twist does not receive: leave one of them out")
     return settings_from_args(DriveConfig, args, **given)
 
 

@@ -5,11 +5,15 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gibson_sim.cli.exit_codes import ExitCode
 from gibson_sim.cli.quiet import quiet
 from gibson_sim.errors import ConfigError
+
+if TYPE_CHECKING:
+    from gibson_sim.importing.run import Choices
+    from gibson_sim.scenes.mesh_types import UpAxis
 
 
 def add_parser(subparsers: Any) -> None:
@@ -32,12 +36,29 @@ def add_choices(parser: argparse.ArgumentParser) -> None:
     """Adds what the user may say of a source."""
     parser.add_argument("--name", default="", help="of the scene (default: that of the source)")
     parser.add_argument(
-        "--up-axis", choices=("x", "y", "z"), help="axis of the file that is up (default: as its format or its floor says)"
+        "--up-axis",
+        metavar="UP",
+        help="axis of the file that is up, x, y or z; of a single mesh also -y or a direction, as 0.1,0.3,0.9 (default: as its format or its "
+        "floor says)",
     )
     parser.add_argument(
         "--unit", metavar="UNIT", help="of the file: m, cm, mm, inch, foot, km, or metres per unit (default: as its format says)"
     )
     parser.add_argument("--no-semantics", action="store_true", help="leave labels out; the scene is one object")
+
+
+def chosen(args: argparse.Namespace) -> Choices:
+    """Returns what the user says of a source.
+
+    Raises:
+        ConfigError: the unit is unknown, or the axis is none.
+    """
+    from gibson_sim.importing.gravity import direction
+    from gibson_sim.importing.run import Choices
+
+    axis: UpAxis | None = args.up_axis if args.up_axis in ("x", "y", "z") else None
+    up = direction(args.up_axis, "--up-axis") if args.up_axis is not None and axis is None else None
+    return Choices(args.name, axis, up, unit_m(args.unit), not args.no_semantics)
 
 
 def unit_m(text: str | None) -> float | None:
@@ -67,9 +88,9 @@ def unit_m(text: str | None) -> float | None:
 def _run(args: argparse.Namespace) -> ExitCode:
     # Loaded here: the other sub-commands need no meshes.
     from gibson_sim.importing.facts import scene_facts
-    from gibson_sim.importing.run import Choices, import_scene
+    from gibson_sim.importing.run import import_scene
 
-    choices = Choices(args.name, args.up_axis, unit_m(args.unit), not args.no_semantics)
+    choices = chosen(args)
     imported = import_scene(args.source, args.output, choices)
     for warning in imported.warnings:
         print(f"warning: {warning}", file=sys.stderr)

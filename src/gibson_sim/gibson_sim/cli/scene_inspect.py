@@ -14,6 +14,7 @@ from gibson_sim.errors import ConfigError, SceneError
 
 if TYPE_CHECKING:
     from gibson_sim.importing.check import Report
+    from gibson_sim.types import Vec3
 
 _MOST_ALIKE = 3
 
@@ -35,6 +36,10 @@ def add_parser(subparsers: Any) -> None:
         "--max-texture", type=int, default=8192, metavar="PX", help="--fix: longest side of textures (default: 8192)"
     )
     check.add_argument("--no-level", action="store_true", help="--fix: leave the scene turned as it is")
+    check.add_argument(
+        "--up", metavar="UP",
+        help="--fix: which way is about up in the scene, where that is not found: an axis, as y or -y, or a direction, as 0.1,0.3,0.9",
+    )  # fmt: skip
     check.add_argument(
         "--unit", metavar="UNIT", help="--fix: what the lengths are in: m, cm, mm, inch, foot, km, or metres per unit"
     )
@@ -70,23 +75,33 @@ def _inspect(args: argparse.Namespace) -> ExitCode:
 def _check(args: argparse.Namespace) -> ExitCode:
     if args.fix and args.output is None:
         raise ConfigError("--fix writes a mended copy: say with --output DIR where")
-    if not args.fix and (args.output is not None or args.unit is not None):
-        raise ConfigError("--output and --unit are for --fix: add it, or leave them out")
+    if not args.fix and (args.output is not None or args.unit is not None or args.up is not None):
+        raise ConfigError("--output, --unit and --up are for --fix: add it, or leave them out")
+    if args.up is not None and args.no_level:
+        raise ConfigError("--up turns the scene and --no-level leaves it as it is: give one of them")
     if not 64 <= args.max_texture <= 16384:
         raise ConfigError(f"--max-texture is {args.max_texture}, must be 64 to 16384 pixels")
     factor = unit_m(args.unit)
+    up = _up(args.up)
     report = _report(args.scene)
     if not args.fix:
         _print(report, args.json)
         return ExitCode.OK if report.clean else ExitCode.ERROR
     from gibson_sim.importing.fix import Fix, fix_scene
 
-    file, mended = fix_scene(report, args.output, Fix(factor, args.max_texture, not args.no_level))
     if not args.json:
         _print(report, False)
+    file, mended = fix_scene(report, args.output, Fix(factor, args.max_texture, not args.no_level, up))
+    if not args.json:
         print(f"mended: {file}")
     _print(mended, args.json)
     return ExitCode.OK if mended.clean else ExitCode.ERROR
+
+
+def _up(text: str | None) -> Vec3 | None:
+    from gibson_sim.importing.gravity import direction
+
+    return None if text is None else direction(text)
 
 
 def _print(report: Report, as_json: bool) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 
 from gibson_sim.cli.exit_codes import ExitCode
-from gibson_sim.errors import GibsonSimError
+from gibson_sim.picture_files import write_picture
 
 
 def add_parser(subparsers: Any) -> None:
@@ -43,9 +43,6 @@ def _run(args: argparse.Namespace) -> ExitCode:
         from gibson_sim.making.objects.sheet import sheet
 
         path = Path(args.picture or "objects.png")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        picture = sheet(output, models)
-        if not cv2.imwrite(str(path), picture[:, :, ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9]):
-            raise GibsonSimError(f"{path} cannot be written: is the folder writable, and does the name end in .png?")
+        write_picture(path, sheet(output, models)[:, :, ::-1], (cv2.IMWRITE_PNG_COMPRESSION, 9))
         print(path)
     return ExitCode.OK

@@ -87,7 +87,7 @@ def _scan(args: argparse.Namespace) -> ExitCode:
 def _fuse(args: argparse.Namespace) -> ExitCode:
     from gibson_sim.scanning.coloured_mesh import write_ply
     from gibson_sim.scanning.comparison import compare
-    from gibson_sim.scanning.fusion import distances, fuse, open3d
+    from gibson_sim.scanning.fusion import chosen_frames, distances, fuse, open3d
     from gibson_sim.scanning.layouts import open_posed_rgbd
     from gibson_sim.scenes.load import load_scene
 
@@ -100,22 +100,27 @@ def _fuse(args: argparse.Namespace) -> ExitCode:
         print(f"gibson-sim: {rgbd.folder}: {warning}", file=sys.stderr)
     scene = load_scene(args.compare) if args.compare else None
     settings = settings_from_args(FuseSettings, args)
-    with progress_bar(f"fusing {len(rgbd)} frames ({rgbd.layout})") as progress:
+    frames = chosen_frames(rgbd, settings)
+    named = f"{len(frames)} frames" if len(frames) == len(rgbd) else f"{len(frames)} of {len(rgbd)} frames"
+    with progress_bar(f"fusing {named} ({rgbd.layout})") as progress:
         mesh = fuse(rgbd, settings, progress)
     write_ply(output, mesh)
     print(
-        f"{output}: {len(mesh.triangles)} triangles, {len(mesh.vertices)} vertices, {mesh.area:.1f} m2, from {len(rgbd)} frames ({rgbd.layout})"
+        f"{output}: {len(mesh.triangles)} triangles, {len(mesh.vertices)} vertices, {mesh.area:.1f} m2, from {named} ({rgbd.layout})"
     )
-    report: dict[str, Any] = {"triangles": len(mesh.triangles), "vertices": len(mesh.vertices), "area_m2": mesh.area}
+    report: dict[str, Any] = {
+        "frames": len(frames), "triangles": len(mesh.triangles), "vertices": len(mesh.vertices), "area_m2": mesh.area,
+    }  # fmt: skip
     if scene is not None:
         with progress_bar("comparing") as progress:
-            found = compare(mesh, rgbd, scene, distances, progress)
-        report = found.as_dict()
+            found = compare(mesh, rgbd, scene, distances, progress, frames=frames)
+        report = {**report, **found.as_dict()}
         for name, d in (("mesh to scene", found.mesh_to_scene), ("scene to mesh", found.scene_to_mesh)):
             print(f"{name}: median {d.median_mm:.1f} mm, mean {d.mean_mm:.1f}, 95 % below {d.p95_mm:.1f}, at most {d.max_mm:.1f}")
         print(
             f"images show {100.0 * found.shown:.1f} % of all solid surfaces; the mesh has {100.0 * found.covered:.1f} % of these within 5 cm"
         )
+    print(f"next: gibson-sim scene check {output} tells holes, islands of floor that gaps cut off, and what is out of level")
     write_json(Path(args.report) if args.report else None, report)
     return ExitCode.OK
 

@@ -10,7 +10,8 @@ import cv2
 
 from gibson_sim.cli.exit_codes import ExitCode
 from gibson_sim.cli.quiet import quiet
-from gibson_sim.errors import ConfigError, SceneError
+from gibson_sim.errors import ConfigError
+from gibson_sim.picture_files import write_picture
 from gibson_sim.scenes.load import load_scene
 
 MOST_VIEWS = 22
@@ -63,8 +64,6 @@ def _run(args: argparse.Namespace) -> ExitCode:
         height = round(picture.shape[0] * args.width / picture.shape[1])
         picture = cv2.resize(picture, (args.width, height), interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
     path = args.output or Path(f"{scene.name}_view.png")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 88]):
-        raise SceneError(f"{path}: cannot be written: is the folder writable, and does the name end in .png or .jpg?")
+    write_picture(path, picture[:, :, ::-1])
     print(path)
     return ExitCode.OK

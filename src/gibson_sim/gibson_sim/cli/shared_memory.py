@@ -59,7 +59,7 @@ def _sweep(folder: Path) -> tuple[list[Path], bool]:
 def _remove(guarded: list[Path], lock: Path) -> list[Path]:
     """Removes files while holding the lock that guards them, if there is one; returns which. None where somebody holds it."""
     try:
-        descriptor = os.open(lock, os.O_RDWR | os.O_CLOEXEC)
+        descriptor = os.open(lock, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
     except FileNotFoundError:
         return [path for path in guarded if _unlink(path)]
     except OSError:  # someone else's
@@ -76,7 +76,7 @@ def _remove(guarded: list[Path], lock: Path) -> list[Path]:
 def _unlink(path: Path) -> bool:
     try:
         path.unlink()
-    except (FileNotFoundError, PermissionError):
+    except OSError:  # gone, someone else's, or no file
         return False
     return True
 
@@ -107,14 +107,14 @@ def _mapped_files() -> frozenset[tuple[int, int]]:
 
 def _file_of(path: Path) -> tuple[int, int]:
     try:
-        found = path.stat()
-    except FileNotFoundError:
+        found = path.lstat()
+    except OSError:
         return -1, -1
     return found.st_dev, found.st_ino
 
 
 def _changed_s(path: Path) -> float:
     try:
-        return path.stat().st_ctime
-    except FileNotFoundError:
+        return path.lstat().st_ctime
+    except OSError:
         return 0.0

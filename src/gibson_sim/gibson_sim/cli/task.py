@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.cli.environment import PARENT_VARIABLE, node_environment, require_nodes
+from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.options import add_settings, node_arguments, settings_from_args
+from gibson_sim.cli.processes import become
 from gibson_sim.cli.report_file import write_json
 from gibson_sim.client_config import TaskConfig
 from gibson_sim.errors import ConfigError
@@ -25,7 +25,7 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("task", nargs="?", metavar="NAME", help="name of the task")
     parser.add_argument("--list", action="store_true", help="print all tasks with their scenes, robots and baselines, and end")
-    add_settings(parser, TaskConfig, ("seed", "episodes", "baseline", "scene", "robot"))
+    add_settings(parser, TaskConfig, ("seed", "episodes", "baseline", "scene", "robot", "timeout"))
     parser.add_argument("--json", type=Path, metavar="FILE", help="JSON file to write, with every episode")
     parser.add_argument("--in-process", action="store_true", help="without ROS: physics and baseline in this process, one core")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="with --in-process: the end of every episode as a PNG")
@@ -46,10 +46,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("--pictures is for --in-process; of a running simulation take them with gibson-sim snapshot")
     require_nodes()
     environment = node_environment(domain_id=args.domain_id)
-    del environment[PARENT_VARIABLE]
-    command = [sys.executable, "-m", "gibson_sim.ros.task_node", *node_arguments(config)]
-    sys.stdout.flush()
-    os.execve(command[0], command, environment)
+    become("task_node", node_arguments(config), environment)
 
 
 def _list() -> int:
@@ -88,14 +85,12 @@ def _in_process(config: TaskConfig, pictures: Path | None) -> int:
 
 
 def _pictures(there: Any, path: Path) -> Iterator[Path]:
-    import cv2
-
+    from gibson_sim.picture_files import write_picture
     from gibson_sim.tasks.pictures import TaskCamera
 
     camera = TaskCamera(there, (480, 480))
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        cv2.imwrite(str(path), camera.both(480)[..., ::-1])
+        write_picture(path, camera.both(480)[..., ::-1])
         yield path
     finally:
         camera.close()

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import sys
 from typing import Any
 
-from gibson_sim.cli.environment import PARENT_VARIABLE, domain_of, node_environment, require_nodes
+from gibson_sim.cli.environment import domain_of, node_environment, require_nodes
+from gibson_sim.cli.processes import become
 
 PATIENCE_S, PERIOD_S = 5.0, 1.0
 
@@ -35,8 +34,5 @@ def run(args: argparse.Namespace) -> int:
     require_nodes()
     environment = node_environment(domain_id=args.domain_id)
     domain_of(environment)
-    del environment[PARENT_VARIABLE]
     options = {"once": args.once, "topics": args.topics, "patience_s": PATIENCE_S, "period_s": PERIOD_S}
-    command = [sys.executable, "-m", "gibson_sim.ros.top_node", json.dumps(options)]
-    sys.stdout.flush()
-    os.execve(command[0], command, environment)
+    become("top_node", [json.dumps(options)], environment)

@@ -13,6 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO
 
 from gibson_sim.errors import SceneError
+from gibson_sim.quoting import quoted
 
 _BLOCK = 1 << 20
 _ERRORS = (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError, ValueError)
@@ -114,12 +115,14 @@ def _checked(archive: Path, entries: Iterable[_Entry], packed: int, limits: Arch
             or ":" in entry.name.partition("/")[0]
         ):
             raise SceneError(
-                f"{archive}: holds {entry.name!r}, which would leave the folder; nothing was unpacked. Do not use this archive"
+                f"{archive}: holds {quoted(entry.name)}, which would leave the folder; nothing was unpacked. Do not use this archive"
             )
         if entry.special:
-            raise SceneError(f"{archive}: {entry.name!r} is {entry.special}, only files and folders are unpacked; nothing was")
+            raise SceneError(
+                f"{archive}: {quoted(entry.name)} is {entry.special}, only files and folders are unpacked; nothing was"
+            )
         if not entry.is_folder and str(path) in names:
-            raise SceneError(f"{archive}: holds {entry.name!r} twice; nothing was unpacked")
+            raise SceneError(f"{archive}: holds {quoted(entry.name)} twice; nothing was unpacked")
         names.add(str(path))
         yield entry
 

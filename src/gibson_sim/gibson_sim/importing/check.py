@@ -12,11 +12,15 @@ import numpy as np
 from gibson_sim.errors import GibsonSimError, SceneError
 from gibson_sim.geometry.triangles import areas_of, unit_normals
 from gibson_sim.importing.carried import is_begun, missing, out_of_date
+from gibson_sim.importing.document import ASSETS
 from gibson_sim.importing.facts import Geometry, SceneFacts, scene_facts, scene_geometry
 from gibson_sim.importing.faults import MeshFaults, find_faults
-from gibson_sim.importing.gravity import ALIGNED_DEG, UNITS, guess_up
+from gibson_sim.importing.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, UNITS, UpGuess, direction_text, guess_up
+from gibson_sim.importing.islands import islands
+from gibson_sim.importing.left_out import read_left_out
 from gibson_sim.importing.scans import SCAN_FROM, SCAN_SHARE
-from gibson_sim.robots.omissions import OmissionKind, kind_of
+from gibson_sim.quoting import quoted
+from gibson_sim.robots.omissions import Omission, OmissionKind, kind_of
 from gibson_sim.scenes.floor_map import FLOOR_TOLERANCE, scene_floor_map
 from gibson_sim.scenes.image_header import MAX_PIXELS
 from gibson_sim.scenes.load import load_scene
@@ -31,6 +35,8 @@ HOLE_FROM = 0.3
 """Rim of a hole that is told of, metres."""
 ROBOT_RADIUS, ROBOT_HEIGHT = 0.2, 0.5
 """Metres, of the robot that start poses must have room for."""
+NEED_UPRIGHT = {"no-floor", "floor-faces-down", "no-room", "start-blocked", "islands", "out-of-date"}
+"""Findings that say nothing of a scene that is not upright or not in metres."""
 _FLOOR_AREA = 1.0
 _INVERTED = 0.001
 _DEGENERATE, _MANY = 0.01, 100
@@ -95,17 +101,22 @@ def check_scene(scene: SceneSpec) -> Report:
     guess = guess_up(geometry.vertices, geometry.triangles)
     facts = scene_facts(scene, geometry, guess)
     findings = [
-        *_orientation(facts), *_unit(facts), *_meshes(geometry), *_textures(facts), *_floor(scene, geometry, facts), *_starts(scene, facts),
+        *_orientation(facts, guess), *_unit(facts), *_meshes(geometry), *_textures(facts), *_floor(scene, geometry, facts), *_starts(scene, facts),
         *_omissions(scene, geometry), *_carried(scene),
     ]  # fmt: skip
     order = {"error": 0, "warning": 1, "note": 2}
     return Report(tuple(sorted(findings, key=lambda f: order[f.level])), facts, scene, geometry)
 
 
-def _orientation(facts: SceneFacts) -> Iterator[Finding]:
-    if facts.up_axis != "z":
-        text = f"the largest level surface lies across the {facts.up_axis} axis: the scene lies on its side"
-        yield Finding("not-level", "warning", text, "--fix turns it; or give up_axis in scene.yaml", True)
+def _orientation(facts: SceneFacts, guess: UpGuess) -> Iterator[Finding]:
+    if not guess.sure:
+        listed = "; ".join(direction_text(up) for up in guess.others)
+        text = f"which way is up is not clear: it may be {listed}"
+        remedy = f"look at it, then: --fix --up={direction_text(guess.others[0])} turns it so that this way is up; --up=z keeps it as it is"
+        yield Finding("up-unclear", "warning", text, remedy)
+    elif facts.tilt_deg > ON_ITS_SIDE_DEG:
+        text = f"up is {direction_text(guess.up)}, {facts.tilt_deg:.1f} degrees off z: the scene lies on its side or is turned"
+        yield Finding("not-level", "warning", text, "--fix turns it; or give up_axis or pose in scene.yaml", True)
     elif facts.tilt_deg > ALIGNED_DEG:
         text = f"the floor is {facts.tilt_deg:.2f} degrees out of level: things roll, and maps have ghosts"
         yield Finding("not-level", "warning", text, "--fix turns it", True)
@@ -171,7 +182,7 @@ def _textures(facts: SceneFacts) -> Iterator[Finding]:
 
 
 def _floor(scene: SceneSpec, geometry: Geometry, facts: SceneFacts) -> Iterator[Finding]:
-    if not len(geometry.triangles) and scene.ground_z is None:
+    if not (facts.upright and (len(geometry.triangles) or scene.ground_z is not None)):
         return
     corners = geometry.vertices[geometry.triangles]
     normals, areas, heights = unit_normals(corners), areas_of(corners), corners[:, :, 2]
@@ -196,7 +207,7 @@ def _floor(scene: SceneSpec, geometry: Geometry, facts: SceneFacts) -> Iterator[
 
 
 def _starts(scene: SceneSpec, facts: SceneFacts) -> Iterator[Finding]:
-    if facts.up_axis != "z" or facts.unit != "m":
+    if not facts.upright or facts.unit != "m":
         return  # a map of it would say nothing
     for floor_z in scene.floors:
         starts = [s for s in scene.starts if abs(s.pose.position[2] - floor_z) < 0.5]
@@ -208,28 +219,48 @@ def _starts(scene: SceneSpec, facts: SceneFacts) -> Iterator[Finding]:
         if not floor.inflate(ROBOT_RADIUS).any():
             yield Finding("no-room", "warning", f"on the floor at z = {floor_z:.2f} m no place is free for a robot of radius {ROBOT_RADIUS} m",
                           "is floor_z right, and the unit?")  # fmt: skip
+        pieces = islands(floor, ROBOT_RADIUS)
+        if pieces:
+            text = (
+                f"the free floor at z = {round(floor_z, 2) + 0.0:.2f} m is in {len(pieces)} pieces with unscanned floor between them: "
+                f"{', '.join(f'{area:.1f}' for area in pieces[:6])}{', ...' if len(pieces) > 6 else ''} m^2"
+            )
+            yield Finding(
+                "islands",
+                "warning",
+                text,
+                "robots stay on the piece they start on; scan what is between, or close it with ground_z",
+            )
         for start in starts:
             x, y, _ = start.pose.position
             if float(floor.clearance(np.array([x, y]))) < ROBOT_RADIUS:
                 free = floor.nearest_free((x, y), ROBOT_RADIUS)
                 there = f"; the nearest free place is {free[0]:.2f}, {free[1]:.2f}" if free else ""
-                yield Finding("start-blocked", "warning", f"start {start.name!r} at {x:.2f}, {y:.2f} is not free for a robot of radius "
+                yield Finding("start-blocked", "warning", f"start {quoted(start.name)} at {x:.2f}, {y:.2f} is not free for a robot of radius "
                               f"{ROBOT_RADIUS} m{there}", "move it in scene.yaml")  # fmt: skip
 
 
 def _omissions(scene: SceneSpec, geometry: Geometry) -> Iterator[Finding]:
-    every = dict.fromkeys([*scene.warnings, *(w for _, mesh in geometry.meshes for w in mesh.warnings)])
-    said: set[str] = set()
-    for warning in every:
-        short = warning.replace(f"{scene.root}/", "")
-        if short in said:
-            continue
-        said.add(short)
-        missing = kind_of(warning) in (OmissionKind.MISSING_ASSET, OmissionKind.UNSUPPORTED_ASSET)
-        texture = "texture" in short and missing
+    for line in left_out(scene, geometry):
+        missing = kind_of(line) in (OmissionKind.MISSING_ASSET, OmissionKind.UNSUPPORTED_ASSET)
+        texture = "texture" in line and missing
         yield Finding(
-            "missing-texture" if texture else "missing" if missing else "left-out", "warning" if missing else "note", short
+            "missing-texture" if texture else "missing" if missing else "left-out", "warning" if missing else "note", line
         )
+
+
+def left_out(scene: SceneSpec, geometry: Geometry) -> list[str]:
+    """Returns what could not be used: of the scene as it is, and of what it was imported from, which it may not name any more.
+
+    Raises:
+        SceneError: what the import noted cannot be read.
+    """
+    lines: dict[str, Omission] = {}
+    for line in (*scene.warnings, *(w for _, mesh in geometry.meshes for w in mesh.warnings), *read_left_out(scene.root)):
+        short = line.replace(f"{scene.root}/", "")
+        # The copy of a file is said of once, as what it was copied from.
+        lines.setdefault(short.replace(f"{ASSETS}/", ""), Omission(short, kind_of(line)))
+    return list(lines.values())
 
 
 def _carried(scene: SceneSpec) -> Iterator[Finding]:

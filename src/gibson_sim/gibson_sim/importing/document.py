@@ -18,11 +18,13 @@ import yaml
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import matrix_from_pose
 from gibson_sim.importing.glb import write_glb
+from gibson_sim.importing.left_out import LEFT_OUT, left_out_text
 from gibson_sim.scenes.load import DESCRIPTION
 from gibson_sim.scenes.mesh import MeshLoader
 from gibson_sim.scenes.mesh_types import Mesh
 from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.types import Pose, Rgba, Vec3
+from gibson_sim.writing import cannot_write, write_file
 
 ASSETS = "assets"
 """Folder of meshes and textures in what is written."""
@@ -51,6 +53,8 @@ class ImportedObject:
     color: Rgba | None = None
     collision: Path | Mesh | str = "same"
     """``same``, ``none``, ``simplified``, or a mesh in the frame of the shape."""
+    visible: bool = True
+    """False = it is solid, and not drawn."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,6 +90,8 @@ class ImportedScene:
     licences: list[Path] = field(default_factory=list)
     """Files that say who made it and what is allowed."""
     warnings: list[str] = field(default_factory=list)
+    home: Path | None = None
+    """Folder that a scene.yaml beside the source goes to; None = that of the source."""
     loader: MeshLoader | None = None
     """One that has read the meshes already, so that they need not be read again."""
 
@@ -103,7 +109,7 @@ def new_folder(output: Path) -> Iterator[Path]:
         output.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{output.name}.", dir=output.parent))
     except OSError as e:
-        raise SceneError(f"{output}: cannot be written: {e.strerror or e}") from e
+        raise cannot_write(output, e) from e
     try:
         yield temporary
         temporary.chmod(0o755)
@@ -111,7 +117,7 @@ def new_folder(output: Path) -> Iterator[Path]:
             output.rmdir()
         temporary.rename(output)
     except OSError as e:
-        raise SceneError(f"{output}: cannot be written: {e.strerror or e}") from e
+        raise cannot_write(output, e) from e
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
@@ -125,11 +131,18 @@ def write_scene(scene: ImportedScene, output: Path) -> Path:
     with new_folder(output) as folder:
         writer = _Writer(scene.root, folder, scene.loader)
         document = scene_document(scene, writer)
-        (folder / DESCRIPTION).write_text(document, encoding="utf-8")
+        write_file(folder / DESCRIPTION, document)
         writer.maps(scene.maps, scene.floors)
         for licence in scene.licences:
             shutil.copyfile(licence, folder / licence.name)
+        _write_left_out(scene, folder)
     return output / DESCRIPTION
+
+
+def _write_left_out(scene: ImportedScene, folder: Path) -> None:
+    text = left_out_text(scene.warnings)
+    if text:
+        write_file(folder / LEFT_OUT, text)
 
 
 def scene_document(scene: ImportedScene, writer: Placer) -> str:
@@ -175,6 +188,8 @@ def _object(item: ImportedObject, writer: Placer, names: dict[str, int]) -> dict
     for key in ("up_axis", "unit_m", "semantic_class"):
         if getattr(item, key):
             out[key] = getattr(item, key)
+    if not item.visible:
+        out["visible"] = False
     if item.color is not None:
         out["color"] = [_short(c) for c in item.color]
     if isinstance(item.collision, str):
@@ -230,7 +245,10 @@ class _Writer(Placer):
     def _file(self, path: Path, name: str) -> str:
         if not path.is_relative_to(self._root):
             return self._written(MeshLoader((path.parent.parent,)).mesh(path), name)
-        for file in self._loader.mesh(path).files:
+        files = self._loader.mesh(path).files
+        if not all(file.is_relative_to(self._root) for file in files):
+            return self._written(MeshLoader((self._root,)).mesh(path), name)
+        for file in files:
             target = self._folder / ASSETS / file.relative_to(self._root)
             if not target.exists():
                 target.parent.mkdir(parents=True, exist_ok=True)
@@ -265,10 +283,8 @@ def write_in_place(scene: ImportedScene, folder: Path) -> Path:
         raise SceneError(
             f"{outside[0]}: lies outside {folder}, where the scene.yaml would go; give --output FOLDER to copy all files"
         )
-    try:
-        path.write_text(scene_document(scene, Placer(folder, folder)), encoding="utf-8")
-    except OSError as e:
-        raise SceneError(f"{path}: cannot be written: {e.strerror or e}; give --output FOLDER") from e
+    write_file(path, scene_document(scene, Placer(folder, folder)))
+    _write_left_out(scene, folder)
     return path
 
 

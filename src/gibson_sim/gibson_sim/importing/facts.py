@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
-from gibson_sim.importing.gravity import UpGuess, guess_unit, guess_up
+from gibson_sim.importing.gravity import UpGuess, direction_text, guess_unit, guess_up
 from gibson_sim.robots.spec import VisualSpec
 from gibson_sim.scenes.mesh import MeshLoader, scene_roots
 from gibson_sim.scenes.mesh_types import Mesh, TextureSource, merge
@@ -47,9 +47,11 @@ class SceneFacts:
     textures: tuple[TextureFacts, ...]
     """The largest first."""
     up_axis: str
-    """Of the scene, as its level surfaces say: z, unless it lies on its side."""
+    """Of the scene, the one nearest to up: z, unless it lies on its side; "" = not clear."""
+    up: tuple[float, float, float]
+    """Unit vector across its floors; z where up is not clear."""
     tilt_deg: float
-    """Of its floor against level."""
+    """Of its floor against level; 0 where up is not clear."""
     unit: str
     """In which it has the size of a room or a building; "" = none."""
     floors: tuple[float, ...]
@@ -58,6 +60,11 @@ class SceneFacts:
     bodies: int
     starts: tuple[str, ...]
     warnings: tuple[str, ...]
+
+    @property
+    def upright(self) -> bool:
+        """Whether z is up, nearly: a map can be made of it."""
+        return self.up_axis == "z" and self.up[2] > 0.0
 
     @property
     def size(self) -> tuple[float, float, float]:
@@ -82,9 +89,9 @@ class SceneFacts:
             ("textures", f"{len(self.textures)}, {memory:.0f} MB in memory"),
             *(("", f"{t.width} x {t.height}  {Path(t.name).name}") for t in self.textures[:_MOST_LISTED]),
             *([("", f"and {len(self.textures) - _MOST_LISTED} more")] if len(self.textures) > _MOST_LISTED else []),
-            ("up", f"{self.up_axis}, floor {self.tilt_deg:.2f} degrees out of level"),
+            ("up", f"{direction_text(self.up)}, floor {self.tilt_deg:.2f} degrees out of level" if self.up_axis else "not clear"),
             ("unit", self.unit or "not clear: it has the size of no room or building in m, cm, mm, inch, foot or km"),
-            ("floors", ", ".join(f"{z:.2f}" for z in self.floors) + " m"),
+            ("floors", ", ".join(f"{round(z, 2) + 0.0:.2f}" for z in self.floors) + " m"),
             ("classes", _classes(self.classes)),
             ("starts", ", ".join(self.starts) or "the most open place"),
         ]
@@ -148,7 +155,7 @@ def scene_facts(scene: SceneSpec, geometry: Geometry | None = None, up: UpGuess 
         name=scene.name, low=(x0, y0, z0), high=(x1, y1, z1), objects=len(scene.visuals), triangles=len(g.triangles),
         collision_triangles=sum(loader.shape(c.shape).triangle_count for c in scene.collisions), materials=len(materials),
         vertex_colors=any(m.colored for m in materials), textures=texture_facts([m for _, m in g.meshes]),
-        up_axis=guess.axis, tilt_deg=round(guess.tilt_deg, 3), unit=guess_unit((high - low).tolist()),
+        up_axis=guess.axis if guess.sure else "", up=guess.up, tilt_deg=round(guess.tilt_deg, 3), unit=guess_unit((high - low).tolist()),
         floors=tuple(scene.floors), classes=classes, bodies=len(scene.bodies), starts=tuple(s.name for s in scene.starts),
         warnings=tuple(map(str, scene.warnings)),
     )  # fmt: skip

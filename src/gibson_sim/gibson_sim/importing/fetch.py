@@ -12,6 +12,7 @@ from gibson_sim.importing.download import download
 from gibson_sim.importing.recipes import Recipe
 from gibson_sim.importing.run import Choices, Imported, import_scene
 from gibson_sim.resources import cache_folder
+from gibson_sim.writing import write_file
 
 _SPACE = 3
 """Times the size of the download: itself, unpacked, and imported."""
@@ -54,6 +55,6 @@ def fetch_scene(recipe: Recipe, output: Path, progress: Callable[[float], None])
         unpack(source / recipe.files[0].path, cache / "unpacked")
         source = only_folder(cache / "unpacked")
     imported = import_scene(source / recipe.scene if recipe.scene else source, output, Choices(name=recipe.name))
-    (output / "ORIGIN.txt").write_text(recipe.text() + "\n", encoding="utf-8")
+    write_file(output / "ORIGIN.txt", recipe.text() + "\n")
     shutil.rmtree(cache, ignore_errors=True)
     return imported

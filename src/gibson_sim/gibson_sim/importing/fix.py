@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,18 +13,19 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import matrix_from_pose
-from gibson_sim.importing.check import MAX_SIDE, Report, check_path
+from gibson_sim.importing.check import MAX_SIDE, NEED_UPRIGHT, Report, check_path, left_out
 from gibson_sim.importing.document import SIMPLIFIED, ImportedObject, ImportedScene, write_scene
 from gibson_sim.importing.faults import find_faults
-from gibson_sim.importing.gravity import guess_up, rotation_to_z
-from gibson_sim.importing.importers import assigned, light_document
+from gibson_sim.importing.gravity import ALIGNED_DEG, guess_up, level_near, rotation_to_z
+from gibson_sim.importing.importers import UNSEEN, assigned, light_document
 from gibson_sim.importing.labels import some_triangles
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.spec import Shape
 from gibson_sim.scenes.mesh import MeshLoader, scene_roots
 from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart, TextureSource
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.scenes.textures import decode_image
-from gibson_sim.types import Pose
+from gibson_sim.types import Pose, Vec3
 
 F64 = NDArray[np.float64]
 MOST_PIXELS = 16384 * 16384
@@ -40,10 +42,12 @@ class Fix:
     """Longest side, pixels."""
     level: bool = True
     """Turn the scene so that its floor is level."""
+    up: Vec3 | None = None
+    """Which way is about up in the scene, unit vector; what is level near it decides the rest. None = as its surfaces say, if that is sure."""
 
 
 def fix_scene(report: Report, output: Path, fix: Fix) -> tuple[Path, Report]:
-    """Writes a mended copy of a scene and checks it.
+    """Writes a mended copy of a scene and checks it; one that checks worse than the scene is not kept.
 
     Args:
         report: of the scene.
@@ -54,16 +58,18 @@ def fix_scene(report: Report, output: Path, fix: Fix) -> tuple[Path, Report]:
         The scene.yaml, and the report on it.
 
     Raises:
-        SceneError: the scene cannot be read, or the folder not be written.
+        SceneError: the scene cannot be read, the folder not be written, or the copy would be worse.
     """
     if report.scene is None or report.geometry is None:
         raise SceneError(f"the scene cannot be read, so nothing can be mended: {report.findings[0].text}")
     if report.scene.bodies:
-        raise SceneError(f"scene {report.scene.name!r} has bodies that move; mend the meshes that it is made of one by one")
+        raise SceneError(f"scene {quoted(report.scene.name)} has bodies that move; mend the meshes that it is made of one by one")
     scene = report.scene
     matrix = np.eye(4)
     if fix.level:
-        matrix[:3, :3] = rotation_to_z(guess_up(report.geometry.vertices, report.geometry.triangles).up)
+        g = report.geometry
+        up = guess_up(g.vertices, g.triangles).up if fix.up is None else level_near(g.vertices, g.triangles, fix.up)
+        matrix[:3, :3] = rotation_to_z(up)
     matrix[:3, :3] *= fix.unit_m or 1.0
     textures = _Textures(fix.max_texture)
     out = ImportedScene(scene.name, "mended scene", scene.root)
@@ -71,9 +77,36 @@ def fix_scene(report: Report, output: Path, fix: Fix) -> tuple[Path, Report]:
     if not moved:
         out.floors, out.ground_z, out.rooms = scene.floors, scene.ground_z, scene.rooms
     out.light, out.gravity = light_document(scene.light), None if scene.gravity == (0.0, 0.0, -9.81) else scene.gravity
-    out.starts = [_start(s.name, s.pose, matrix) for s in scene.starts] if not moved else []
+    out.starts = [_start(s.name, s.pose, matrix) for s in scene.starts]
     out.objects = list(_objects(scene, matrix, textures))
-    return (file := write_scene(out, output)), check_path(file)
+    out.warnings = left_out(scene, report.geometry)
+    file = write_scene(out, output)
+    mended = check_path(file)
+    worse = made_worse(report, mended)
+    if worse:
+        shutil.rmtree(output, ignore_errors=True)
+        raise SceneError(
+            f"nothing was written: a mended copy of {quoted(scene.name)} would be worse than it is: {'; '.join(worse)}"
+            + ("; --no-level leaves it turned as it is, --up says which way is up" if moved else "")
+        )
+    return file, mended
+
+
+def made_worse(before: Report, after: Report) -> list[str]:
+    """Returns what is wrong with a mended copy and was not wrong with the scene; what could not be told of the scene does not count."""
+    known = {f.what for f in before.findings if f.level != "note"}
+    told = before.facts is not None and before.facts.upright and before.facts.unit == "m"
+    fresh = [f for f in after.findings if f.level != "note" and f.what not in known and (told or f.what not in NEED_UPRIGHT)]
+    out = [f.text for f in fresh]
+    for what in known & NEED_UPRIGHT if told else ():
+        counts = [sum(f.what == what and f.level != "note" for f in r.findings) for r in (before, after)]
+        if counts[1] > counts[0]:
+            out.append(f"{what}: {counts[1]} times, {counts[0]} before")
+    if told and after.facts is not None and before.facts is not None and "not-level" in known:
+        tilts = before.facts.tilt_deg, after.facts.tilt_deg
+        if tilts[1] > tilts[0] + ALIGNED_DEG:
+            out.append(f"the floor is {tilts[1]:.2f} degrees out of level, {tilts[0]:.2f} before")
+    return out
 
 
 def _start(name: str, pose: Pose, matrix: F64) -> dict[str, object]:
@@ -100,6 +133,10 @@ def _objects(scene: SceneSpec, matrix: F64, textures: _Textures) -> Sequence[Imp
             item = replace(item, collision=Mesh(tuple(part for m in meshes for part in m.parts)))
         if item.shape.parts:  # type: ignore[union-attr]
             out.append(item)
+    for unseen in owners.get(UNSEEN, []):
+        solid = _mended(loader, unseen.shape, matrix @ matrix_from_pose(unseen.pose), None)
+        if solid.parts:
+            out.append(ImportedObject(unseen.name, solid, visible=False))
     return out
 
 

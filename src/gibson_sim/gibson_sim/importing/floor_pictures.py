@@ -10,7 +10,9 @@ import yaml
 
 from gibson_sim.errors import SceneError
 from gibson_sim.importing.document import FloorPicture
+from gibson_sim.picture_files import write_picture
 from gibson_sim.scenes.image_header import MAX_PIXELS, image_size
+from gibson_sim.writing import write_file
 
 GIBSON_RESOLUTION = 0.01
 """Metres per pixel."""
@@ -35,11 +37,10 @@ def write_nav2_map(picture: FloorPicture, floor_z: float, folder: Path) -> None:
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise SceneError(f"{picture.file}: is cut or broken; copy it again, or delete it: our own maps do not need it")
-    folder.mkdir(parents=True, exist_ok=True)
     name = f"floor_{picture.number}"
     # Nav2: 254 = free, 0 = occupied.
     free = np.where(image[::-1] == 255, 254, 0).astype(np.uint8)
-    cv2.imwrite(str(folder / f"{name}.pgm"), free)
+    write_picture(folder / f"{name}.pgm", free)
     rows, columns = image.shape
     values = {
         "image": f"{name}.pgm", "mode": "trinary", "resolution": picture.resolution,
@@ -47,4 +48,4 @@ def write_nav2_map(picture: FloorPicture, floor_z: float, folder: Path) -> None:
         "negate": 0, "occupied_thresh": 0.65, "free_thresh": 0.25,
     }  # fmt: skip
     head = f"# From {picture.file.name}, which came with the scene; floor at z = {floor_z:g} m\n"
-    (folder / f"{name}.yaml").write_text(head + yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+    write_file(folder / f"{name}.yaml", head + yaml.safe_dump(values, sort_keys=False))

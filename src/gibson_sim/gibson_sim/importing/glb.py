@@ -13,6 +13,7 @@ from gibson_sim.errors import SceneError
 from gibson_sim.geometry.colours import linear16_from_srgb8, linear_from_srgb
 from gibson_sim.scenes.glb_file import glb_bytes
 from gibson_sim.scenes.mesh_types import TO_Z_UP, Material, Mesh, MeshPart, TextureSource
+from gibson_sim.writing import write_file
 
 _FLOAT, _UINT, _USHORT = 5126, 5125, 5123
 _JPEG_QUALITY = 94
@@ -31,7 +32,7 @@ def write_glb(path: Path, mesh: Mesh, images: dict[int, bytes] | None = None) ->
     document = _Document(images or {})
     for part in mesh.parts:
         document.add(part)
-    path.write_bytes(document.glb(path.stem))
+    write_file(path, document.glb(path.stem), durable=False)
 
 
 def encoded(pixels: NDArray[np.uint8]) -> bytes:

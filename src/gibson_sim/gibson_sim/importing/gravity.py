@@ -1,4 +1,4 @@
-"""Where up is in a mesh, and whether it is in metres: guessed from its level surfaces."""
+"""Where up is in a scene, how sure that is, and whether it is in metres."""
 
 from __future__ import annotations
 
@@ -9,120 +9,165 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.geometry.triangles import areas_of, unit_normals
+from gibson_sim.errors import ConfigError
+from gibson_sim.geometry.level import level_direction
+from gibson_sim.geometry.patches import Patches, flat_patches
+from gibson_sim.geometry.upright import CUES, Candidate, find_candidates
+from gibson_sim.quoting import quoted
 from gibson_sim.scenes.mesh_types import UpAxis
+from gibson_sim.types import Vec3
 
 F64 = NDArray[np.float64]
 ALIGNED_DEG = 0.5
 """A floor that is less out of level than this counts as level, degrees."""
+ON_ITS_SIDE_DEG = 15.0
+"""What is more out of level lies on its side or is turned, degrees."""
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0.3048, "km": 1000.0}
 """Metres per unit, by name."""
-_SLABS = 400
-_SURE = 1.5
-_EDGE = 0.08
-_CLEAR = 0.3
-_CONE_DEG = 25.0
-_FIRST_HALF, _LAST_HALF, _SHRINK, _NARROWEST = 0.05, 0.004, 0.7, 0.03
-_MOST_FACES = 300_000
+_SURE = 0.9
+"""Chance from which a direction is taken for up."""
+_AGREE = 2
+"""Cues that must say which end is up."""
+_NOISE = {"facing": 0.1, "clutter": 0.02, "bounds": 0.05, "outside": 0.1}
+"""Of these cues: less says nothing."""
+_UPRIGHT_DEG = 2.0
+"""What is this near to the scene's z is up unless another direction surely is."""
+_TILTED = ((5.0, 30.0), (ON_ITS_SIDE_DEG, 4.5))
+"""Angle to z, degrees, and odds for a direction within it: scans are held nearly upright more often than not."""
+_ALONG_DEG, _ALONG_ODDS = 2.0, 2.5
+"""The same for directions along x or y: files differ in which axis is up."""
+_NEAR_GIVEN_DEG = 10.0
+"""What is level this near to a direction that somebody gave decides the rest."""
+_SHOWN = 3
 _LOW, _HIGH = 1.2, 25.0
 _STOREY = 2.8
 _NARROW, _WIDE = 1.0, 400.0
+_AXES: dict[str, Vec3] = {
+    "x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0),
+    "-x": (-1.0, 0.0, 0.0), "-y": (0.0, -1.0, 0.0), "-z": (0.0, 0.0, -1.0),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class UpGuess:
-    """What level surfaces say."""
+    """Which way is up in a mesh whose z is meant to be."""
 
-    axis: UpAxis
-    """Of the mesh as it is given: the one nearest to up."""
-    up: tuple[float, float, float]
-    """Unit vector, frame of the mesh as it is given; its direction against z is ``tilt_deg``."""
-    tilt_deg: float
-    """Angle between ``up`` and the z axis; 0 where no level surface was found."""
-    level_area: float
-    """Area that the guess rests on, square units of the mesh."""
-    sign_is_clear: bool = False
-    """Whether it is known which end of ``axis`` is up; an empty room looks the same upside down."""
+    up: Vec3
+    """Unit vector, frame of the mesh: across its floors. z where that is not clear."""
+    sure: bool
+    """Whether ``up`` may be relied on; if not, a person must choose among ``others``."""
+    others: tuple[Vec3, ...] = ()
+    """Directions that may be up as well, the likeliest first; where ``up`` is not sure."""
+
+    @property
+    def tilt_deg(self) -> float:
+        """Angle between ``up`` and z, degrees."""
+        return _degrees(self.up[2])
+
+    @property
+    def axis(self) -> UpAxis:
+        """The axis of the mesh nearest to ``up`` or to its opposite."""
+        names: tuple[UpAxis, ...] = ("x", "y", "z")
+        return names[int(np.abs(self.up).argmax())]
 
 
 def guess_up(vertices: F64, triangles: NDArray[np.integer]) -> UpGuess:
-    """Returns where up is: the largest flat thing of an interior is its floor.
+    """Returns which way is up, and whether that is sure.
 
-    The z axis is given the benefit of the doubt: another axis needs a level that is half as large again.
+    All directions are looked at. A mesh that is upright already stays so unless another direction surely is up; one that is a little
+    tilted needs less evidence than one that lies on its side or is turned anyhow. Where evidence is weak, as in an empty room, nothing is
+    said to be sure.
 
     Args:
         vertices: (V, 3).
         triangles: (F, 3).
     """
-    corners = vertices[triangles[:: max(1, len(triangles) // _MOST_FACES)]]
-    normals, areas = unit_normals(corners), areas_of(corners)
-    centres = corners.mean(axis=1)
-    found = [_level(normals, areas, centres, axis) for axis in range(3)]
-    best = max(range(3), key=lambda axis: found[axis] * (_SURE if axis == 2 else 1.0))
-    start = np.zeros(3)
-    balance = _sign(normals, areas, centres, best)
-    start[best] = 1.0 if best == 2 or balance >= 0 else -1.0
-    up, area = _refined(normals, areas, corners, start)
-    tilt = math.degrees(math.acos(float(np.clip(up[2], -1.0, 1.0)))) if area > 0 else 0.0
-    return UpGuess(("x", "y", "z")[best], (float(up[0]), float(up[1]), float(up[2])), tilt, area, abs(balance) > _CLEAR)
+    patches = _patches(vertices, triangles)
+    found = [] if patches is None else find_candidates(patches)
+    if not found:
+        return UpGuess((0.0, 0.0, 1.0), True)
+    best = found[0]
+    upright = max(found, key=lambda c: c.up[2])
+    tilt = _degrees(upright.up[2])
+    if best is upright:
+        odds = next((odds for most, odds in _TILTED if tilt <= most), 1.0)
+        sure = tilt <= _UPRIGHT_DEG or (_chance(best, odds) >= _SURE and (_agree(best) or tilt <= _TILTED[0][0]))
+        return UpGuess(best.up, True) if sure else _unclear(found)
+    along = max(abs(c) for c in best.up[:2]) >= math.cos(math.radians(_ALONG_DEG))
+    if _chance(best, _ALONG_ODDS if along else 1.0) >= _SURE and _agree(best):
+        return UpGuess(best.up, True)
+    nearly = _TILTED[0][1] * upright.chance > best.chance * _SURE / (1.0 - _SURE)
+    return UpGuess(upright.up, True) if tilt <= _UPRIGHT_DEG or (tilt <= _TILTED[0][0] and nearly) else _unclear(found)
 
 
-def _level(normals: F64, areas: F64, centres: F64, axis: int) -> float:
-    """Returns the largest area across an axis that lies in one thin slab."""
-    flat = np.abs(normals[:, axis]) > math.cos(math.radians(_CONE_DEG))
-    if not flat.any():
-        return 0.0
-    heights = centres[flat, axis]
-    size = max(float(np.ptp(centres, axis=0).max()), 1e-9)
-    bins = np.clip(((heights - heights.min()) / size * _SLABS).astype(np.int64), 0, _SLABS)
-    sums = np.bincount(bins, weights=areas[flat], minlength=_SLABS + 2)
-    return float((sums[:-1] + sums[1:]).max())
+def _unclear(found: Sequence[Candidate]) -> UpGuess:
+    return UpGuess((0.0, 0.0, 1.0), False, tuple(c.up for c in found[:_SHOWN]))
 
 
-def _sign(normals: F64, areas: F64, centres: F64, axis: int) -> float:
-    """Returns how much more area between floor and ceiling faces along the axis than against it, -1 to 1.
+def _degrees(cosine: float) -> float:
+    return math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
 
-    Tables are seen from above, and scanned from there.
+
+def _chance(candidate: Candidate, odds: float) -> float:
+    """Returns the chance of a direction, ``odds`` being what speaks for it beforehand."""
+    return candidate.chance * odds / (candidate.chance * odds + 1.0 - candidate.chance)
+
+
+def _agree(candidate: Candidate) -> bool:
+    """Returns whether several cues say that this end is up, and none that the other one is."""
+    says = dict(zip(CUES, candidate.cues, strict=True))
+    loud = [says[name] > 0 for name, noise in _NOISE.items() if abs(says[name]) > noise]
+    return all(loud) and len(loud) >= _AGREE
+
+
+def level_near(vertices: F64, triangles: NDArray[np.integer], up: Sequence[float]) -> Vec3:
+    """Returns the direction, unit length, across what is level near a direction that is known to be about up; that one where nothing is.
+
+    Args:
+        vertices: (V, 3).
+        triangles: (F, 3).
+        up: not zero; frame of the mesh.
     """
-    heights = centres[:, axis]
-    low, high = float(heights.min()), float(heights.max())
-    margin = _EDGE * (high - low)
-    between = (heights > low + margin) & (heights < high - margin) & (np.abs(normals[:, axis]) > 0.9)
-    total = float(areas[between].sum())
-    return float((areas * normals[:, axis])[between].sum()) / total if total > 0 else 0.0
+    given = np.asarray(up, dtype=np.float64)
+    given = given / np.linalg.norm(given)
+    patches = _patches(vertices, triangles)
+    found = given if patches is None else level_direction(patches, given)[0]
+    near = float(found @ given) > math.cos(math.radians(_NEAR_GIVEN_DEG))
+    x, y, z = (found if near else given).tolist()
+    return x, y, z
 
 
-def _refined(normals: F64, areas: F64, corners: F64, up: F64) -> tuple[F64, float]:
-    """Returns the direction of the largest level surface near ``up``, and its area.
+def _patches(vertices: F64, triangles: NDArray[np.integer]) -> Patches | None:
+    return flat_patches(vertices, triangles, np.random.default_rng(0)) if len(triangles) else None
 
-    Normals of a scan scatter by many degrees, so they only say which faces are meant; the direction is that of the plane through these.
+
+def direction(text: str, option: str = "--up") -> Vec3:
+    """Returns the unit vector that an axis (``z``, ``-y``) or three numbers (``0.1,0.3,0.9``) name.
+
+    Raises:
+        ConfigError: it is neither.
     """
-    near = np.abs(normals @ up) > math.cos(math.radians(_CONE_DEG))
-    if not near.any():
-        return up, 0.0
-    # Corners rather than centres: the two triangles of a plain floor have a line of these.
-    points, weights = corners[near].reshape(-1, 3), np.repeat(areas[near] / 3.0, 3)
-    size = max(float(np.ptp(points, axis=0).max()), 1e-9)
-    half = _FIRST_HALF * size
-    heights = points @ up
-    bins = np.floor((heights - heights.min()) / half).astype(np.int64)
-    sums = np.bincount(bins, weights=weights)
-    middle = heights.min() + (int((sums[:-1] + sums[1:]).argmax()) + 1 if len(sums) > 1 else 0.5) * half
-    inside = np.abs(heights - middle) <= half
-    while True:
-        mean = np.average(points[inside], axis=0, weights=weights[inside])
-        offsets = points[inside] - mean
-        values, vectors = np.linalg.eigh((offsets * weights[inside, None]).T @ offsets / weights[inside].sum())
-        if values[1] < (_NARROWEST * size) ** 2:
-            return up, float(weights[inside].sum())  # a ledge or a beam says nothing
-        up = vectors[:, 0] * (1.0 if float(vectors[:, 0] @ up) >= 0 else -1.0)
-        if half <= _LAST_HALF * size:
-            return up, float(weights[inside].sum())
-        half *= _SHRINK
-        closer = np.abs((points - mean) @ up) <= half
-        if not closer.any():
-            return up, float(weights[inside].sum())
-        inside = closer
+    if text.lower().lstrip("+") in _AXES:
+        return _AXES[text.lower().lstrip("+")]
+    try:
+        vector = np.array([float(word) for word in text.split(",")])
+    except ValueError:
+        vector = np.zeros(0)
+    length = float(np.linalg.norm(vector)) if vector.shape == (3,) and np.isfinite(vector).all() else 0.0
+    if not 1e-6 < length < 1e9:
+        raise ConfigError(
+            f"{option} is {quoted(text)}, must be an axis, {', '.join(_AXES)}, or a direction of three numbers that are not all 0, as 0.1,0.3,0.9"
+        )
+    x, y, z = (vector / length).tolist()
+    return x, y, z
+
+
+def direction_text(up: Sequence[float]) -> str:
+    """Returns a direction as ``direction`` reads it."""
+    for name, axis in _AXES.items():
+        if math.dist(axis, up) < 1e-3:
+            return name
+    return ",".join(f"{round(float(c), 3) + 0.0:g}" for c in up)
 
 
 def rotation_to_z(up: Sequence[float]) -> F64:

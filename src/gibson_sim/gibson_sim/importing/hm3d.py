@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
 from gibson_sim.importing.labels import LabelledFaces
+from gibson_sim.quoting import quoted
 from gibson_sim.scenes.mesh_types import Mesh, MeshPart
 
 _TOLERANCE = 2
@@ -54,7 +55,7 @@ def _table(path: Path) -> tuple[dict[int, tuple[int, int, int]], dict[int, str]]
         try:
             number, color = int(row[0]), bytes.fromhex(row[1].strip())
         except ValueError as e:
-            raise SceneError(f"{path}: {','.join(row)!r} is no number, colour and class ({e}); get the file again") from e
+            raise SceneError(f"{path}: {quoted(','.join(row))} is no number, colour and class ({e}); get the file again") from e
         colors[number] = (color[0], color[1], color[2])
         classes[number] = row[2]
     if not colors:

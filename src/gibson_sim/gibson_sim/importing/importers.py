@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,15 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from gibson_sim.errors import SceneError
-from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
+from gibson_sim.geometry.transforms import matrix_from_pose, quat_from_matrix
 from gibson_sim.importing.document import BAKED_LIGHT, SIMPLIFIED, FloorPicture, ImportedObject, ImportedScene
 from gibson_sim.importing.floor_pictures import GIBSON_RESOLUTION
-from gibson_sim.importing.gravity import guess_up
+from gibson_sim.importing.gravity import ON_ITS_SIDE_DEG, direction_text, guess_up, rotation_to_z
 from gibson_sim.importing.hm3d import labelled_faces_of_textures
 from gibson_sim.importing.labels import LabelledFaces, class_name, habitat_classes, replica_classes, take_apart, transfer
 from gibson_sim.importing.scans import is_scan
 from gibson_sim.importing.sources import MAX_BYTES, Kind, Source
 from gibson_sim.importing.usd import read_usd
+from gibson_sim.robots.omissions import Omission, kind_of
 from gibson_sim.robots.spec import Shape, VisualSpec
 from gibson_sim.scenes.load import read_scene
 from gibson_sim.scenes.mesh import MeshLoader, scene_roots
@@ -30,7 +30,10 @@ from gibson_sim.types import Pose, Vec3
 
 _OBJECT_ID = ("object_id", "objectId", "segment")
 _MOST_OBJECTS = 5000
-_ALONG = 0.9
+_ALONG = 0.996
+"""Cosine of the angle to an axis of the file: a floor that is nearer to lying across it is left to the check."""
+UNSEEN = ""
+"""Stands for the visual of what has none."""
 _LICENCES = ("LICENSE", "LICENCE", "LICENSE.txt", "LICENSE.md", "COPYING", "SOURCE.txt", "license.txt")
 
 
@@ -40,6 +43,8 @@ class Choices:
 
     name: str = ""
     up_axis: UpAxis | None = None
+    up: Vec3 | None = None
+    """Which way is up in a mesh file, unit vector in its axes; for what no ``up_axis`` says."""
     unit_m: float | None = None
     semantics: bool = True
     """Take meshes with labels apart into objects."""
@@ -58,6 +63,10 @@ def read_source(source: Source, choices: Choices) -> ImportedScene:
     reader = readers.get(source.kind)
     if reader is None:
         raise SceneError(f"{source.file}: is an archive; unpack it first")
+    if choices.up is not None and reader is not _mesh:
+        raise SceneError(
+            f"{source.file}: is a {source.kind.value}; --up-axis must be x, y or z for it, other directions are for single meshes"
+        )
     scene = reader(source, choices)
     scene.licences = [scene.root / name for name in _LICENCES if (scene.root / name).is_file()]
     return scene if not choices.name else replace(scene, name=choices.name)
@@ -72,7 +81,7 @@ def _loader(folder: Path, *, textures: bool = True) -> MeshLoader:
 
 
 def _with_warnings(scene: ImportedScene, mesh: Mesh) -> Mesh:
-    scene.warnings += [w.replace(f"{scene.root}{os.sep}", "") for w in mesh.warnings]
+    scene.warnings += [Omission(w.replace(f"{scene.root}{os.sep}", ""), kind_of(w)) for w in mesh.warnings]
     return mesh
 
 
@@ -200,12 +209,17 @@ def _mesh(source: Source, choices: Choices) -> ImportedScene:
 
 def _single(scene: ImportedScene, source: Source, choices: Choices) -> ImportedScene:
     mesh = _with_warnings(scene, _loader(source.folder, textures=False).mesh(source.file))
+    if not all(file.is_relative_to(scene.root) for file in mesh.files):
+        # meshes/ beside materials/textures/, as Gazebo has it: what it names lies in its package.
+        scene.root = scene.home = Path(os.path.commonpath([scene.root, *(file.parent for file in mesh.files)]))
+    axis, up = choices.up_axis, choices.up
+    if axis is None and up is None:
+        axis, up = _up_of(scene, mesh)
     pose = Pose()
-    up = choices.up_axis
-    if up is None:
-        up, upside_down = _up_of(scene, mesh)
-        pose = pose_from_xyz_rpy((0.0, 0.0, 0.0), (math.pi, 0.0, 0.0)) if upside_down else pose
-    scene.objects = [replace(_whole(source.file.stem, source, choices, mesh), pose=pose, up_axis=up or "")]
+    if up is not None:
+        in_mesh = TO_Z_UP[axis or mesh.up_axis] @ np.asarray(up)
+        pose = Pose(quat_xyzw=quat_from_matrix(rotation_to_z(in_mesh)))
+    scene.objects = [replace(_whole(source.file.stem, source, choices, mesh), pose=pose, up_axis=axis or "")]
     return scene
 
 
@@ -215,24 +229,41 @@ def _whole(name: str, source: Source, choices: Choices, mesh: Mesh) -> ImportedO
     return ImportedObject(name, source.file, up_axis=choices.up_axis or "", unit_m=choices.unit_m, collision=collision)
 
 
-def _up_of(scene: ImportedScene, mesh: Mesh) -> tuple[UpAxis | None, bool]:
-    """Returns the axis of the file that is up, or None if that is the one of its format; and whether it points down instead.
+def _up_of(scene: ImportedScene, mesh: Mesh) -> tuple[UpAxis | None, Vec3 | None]:
+    """Returns the axis of the file that is up, or None if that is the one of its format; and the direction, in the axes of the file,
+    that is up where it points against that axis, or lies along none.
 
-    Scans that were put together in the frame of their first camera have y down.
+    Scans that were put together in the frame of their first camera have y down, or are turned anyhow.
     """
     vertices, triangles = mesh.merged()
     guess = guess_up(vertices, triangles)
-    in_file = TO_Z_UP[mesh.up_axis].T @ np.asarray(guess.up)
-    number = int(np.abs(in_file).argmax())
-    if guess.axis == "z" or abs(in_file[number]) < _ALONG:
-        return None, False
+    to_file = TO_Z_UP[mesh.up_axis].T
+    name = mesh.files[0].name
+    if not guess.sure:
+        listed = "; ".join(direction_text(to_file @ np.asarray(up)) for up in guess.others)
+        first = direction_text(to_file @ np.asarray(guess.others[0]))
+        scene.warnings.append(
+            f"{name}: which way is up is not clear: it may be {listed} of the file; {mesh.up_axis} is taken, as the format says; "
+            f"--up-axis={first} says otherwise"
+        )
+        return None, None
+    if guess.tilt_deg <= ON_ITS_SIDE_DEG:
+        return None, None
+    up = to_file @ np.asarray(guess.up)
+    number = int(np.abs(up).argmax())
     axis: UpAxis = ("x", "y", "z")[number]
-    down = bool(in_file[number] < 0 and guess.sign_is_clear)
+    if abs(up[number]) < _ALONG:
+        scene.warnings.append(
+            f"{name}: its floor lies along no axis of the file: {direction_text(up)} is taken as up; --up-axis says otherwise"
+        )
+        return None, (float(up[0]), float(up[1]), float(up[2]))
+    down = bool(up[number] < 0)
     scene.warnings.append(
-        f"{mesh.files[0].name}: its floor lies across the {axis} axis of the file: {'-' if down else ''}{axis} is taken as up; "
-        "--up-axis says otherwise"
+        f"{name}: its floor lies across the {axis} axis of the file: {'-' if down else ''}{axis} is taken as up; --up-axis says otherwise"
     )
-    return axis, down
+    straight = np.zeros(3)
+    straight[number] = -1.0
+    return axis, (float(straight[0]), float(straight[1]), float(straight[2])) if down else None
 
 
 def _usd(source: Source, choices: Choices) -> ImportedScene:
@@ -267,6 +298,9 @@ def from_spec(spec: SceneSpec, out: ImportedScene) -> ImportedScene:
     left = assigned(spec)
     for visual in spec.visuals:
         out.objects.append(_object(visual, left.get(visual.name, []), loader))
+    for collision in left.get(UNSEEN, []):
+        shape, scale = _shape(collision.shape)
+        out.objects.append(ImportedObject(collision.name, shape, collision.pose, scale, visible=False))
     return out
 
 
@@ -279,19 +313,15 @@ def light_document(light: LightSpec) -> dict[str, object]:
 
 
 def assigned(spec: SceneSpec) -> dict[str, list[CollisionSpec]]:
-    """Returns the collision shapes of each visual: those of its name, or else those of the visual with the most similar name."""
-    names = [v.name for v in spec.visuals]
-    known = set(names)
+    """Returns the collision shapes of each visual: those of its name, or of its name with a number; of ``UNSEEN`` those of what is not drawn."""
+    known = {v.name for v in spec.visuals}
     out: dict[str, list[CollisionSpec]] = {}
     for collision in spec.collisions:
-        owner = collision.name if collision.name in known else max(names, key=lambda n: _alike(n, collision.name))
+        # The second shape of a thing is called <thing>_2.
+        stem, _, number = collision.name.rpartition("_")
+        owner = collision.name if collision.name in known else stem if number.isdecimal() and stem in known else UNSEEN
         out.setdefault(owner, []).append(collision)
     return out
-
-
-def _alike(a: str, b: str) -> int:
-    """Returns how many characters two names begin with alike."""
-    return next((k for k, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
 
 
 def _object(visual: VisualSpec, collisions: list[CollisionSpec], loader: MeshLoader) -> ImportedObject:

@@ -9,9 +9,9 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import quote, urlsplit
 
-import yaml
-
-from gibson_sim.errors import SceneError
+from gibson_sim.errors import SceneError, TextError
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import read_yaml_file
 from gibson_sim.resources import find_config, share_folders
 from gibson_sim.scenes.yaml_map import YamlMap
 
@@ -97,14 +97,16 @@ def load_recipe(name: str) -> Recipe:
     """
     path = find_config(name, FOLDER)
     try:
-        document = yaml.safe_load(path.read_bytes())
-    except (yaml.YAMLError, UnicodeDecodeError) as e:
-        raise SceneError(f"{path}: is no YAML: {' '.join(str(e).split())}") from e
+        document = read_yaml_file(path)
+    except OSError as e:
+        raise SceneError(f"{path}: cannot be read: {e.strerror or e}") from e
+    except TextError as e:
+        raise SceneError(f"{path}: {e}").telling(e.public) from e
     top = YamlMap(document, str(path), _KEYS)
     base = top.text("base_url", "")
     files = top.value("files", None)
     if not isinstance(files, dict) or not files:
-        raise SceneError(f"{path}: files is {files!r}, must be a mapping of paths to their sha256 and bytes")
+        raise SceneError(f"{path}: files is {quoted(files)}, must be a mapping of paths to their sha256 and bytes")
     recipe = Recipe(
         name=top.text("name", path.stem), title=_needed(top, "title"), made_by=_needed(top, "made_by"), homepage=_needed(top, "homepage"),
         licence=_needed(top, "licence"), licence_url=_needed(top, "licence_url"), credit=top.text("credit", ""),
@@ -128,10 +130,12 @@ def _file(recipe: Path, path: str, value: Any, base: str) -> RecipeFile:
     item = YamlMap(value, f"{recipe}: {path}", _FILE_KEYS)
     sha256 = item.text("sha256", "")
     if not _SHA256.fullmatch(sha256):
-        raise SceneError(f"{item.where}: sha256 is {sha256!r}, must be 64 hexadecimal digits; without it nothing is downloaded")
+        raise SceneError(
+            f"{item.where}: sha256 is {quoted(sha256)}, must be 64 hexadecimal digits; without it nothing is downloaded"
+        )
     url = item.text("url", "") or f"{base.rstrip('/')}/{quote(path)}"
     if urlsplit(url).scheme not in ("http", "https"):
-        raise SceneError(f"{item.where}: url is {url!r}, must begin with https:// or http://")
+        raise SceneError(f"{item.where}: url is {quoted(url)}, must begin with https:// or http://")
     return RecipeFile(path, url, sha256, int(item.number("bytes", 0, low=1, high=1e12)))
 
 
@@ -139,4 +143,4 @@ def _check_paths(recipe: Path, paths: Iterable[str]) -> None:
     for path in paths:
         pure = PurePosixPath(path)
         if pure.is_absolute() or ".." in pure.parts or "\\" in path or not pure.parts:
-            raise SceneError(f"{recipe}: path {path!r} leaves the folder; it must be relative, without ..")
+            raise SceneError(f"{recipe}: path {quoted(path)} leaves the folder; it must be relative, without ..")

@@ -57,7 +57,7 @@ def import_scene(source: Path, output: Path | None, choices: Choices | None = No
 
 def _imported(source: Source, output: Path | None, choices: Choices) -> Imported:
     scene = read_source(source, choices)
-    file = write_scene(scene, output) if output is not None else write_in_place(scene, source.folder)
+    file = write_scene(scene, output) if output is not None else write_in_place(scene, scene.home or source.folder)
     spec = load_scene(file)
     # What is said of the source would be said of the copy once more.
     known = {_key(warning) for warning in scene.warnings}

@@ -9,6 +9,7 @@ from enum import Enum
 from pathlib import Path
 
 from gibson_sim.errors import SceneError, SceneNotFoundError
+from gibson_sim.quoting import quoted
 from gibson_sim.scenes.load import DESCRIPTION, description_file, is_sdf_world
 from gibson_sim.scenes.mesh import MESH_SUFFIXES
 from gibson_sim.scenes.mesh_ply import POINT_CLOUD_ADVICE
@@ -121,7 +122,7 @@ def _described(file: Path, folder: Path) -> Source:
     if suffix in (".yaml", ".yml"):
         return Source(Kind.OURS, file, folder)
     known = ", ".join((*MESH_SUFFIXES, *USD_SUFFIXES, ".world", ".sdf", ".dmd.yaml", *ARCHIVE_SUFFIXES))
-    raise SceneError(f"{file}: {suffix or 'no suffix'!r} is no format of a scene that can be read; known: {known}")
+    raise SceneError(f"{file}: {quoted(suffix or 'no suffix')} is no format of a scene that can be read; known: {known}")
 
 
 def _existing(folder: Path, names: Sequence[str]) -> tuple[Path, ...]:

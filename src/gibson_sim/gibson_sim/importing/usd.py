@@ -15,6 +15,7 @@ from gibson_sim.errors import EnvironmentProblemError, MeshError, SceneError
 from gibson_sim.geometry.colours import srgb8_from_linear, srgb_from_linear
 from gibson_sim.importing.document import ImportedObject
 from gibson_sim.importing.labels import class_name
+from gibson_sim.scenes.file_roots import is_inside
 from gibson_sim.scenes.mesh_types import (
     TO_Z_UP,
     Material,
@@ -25,7 +26,7 @@ from gibson_sim.scenes.mesh_types import (
     fan,
     index_corners,
 )
-from gibson_sim.scenes.textures import TextureStore, is_inside
+from gibson_sim.scenes.textures import TextureStore
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pose_from_xyz_rpy, quat_from_matrix, turned
+from gibson_sim.quoting import quoted
 from gibson_sim.render.cache import default_folder
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.floor_map import FLOOR_TOLERANCE, FloorMap, make_floor_map
@@ -109,7 +110,7 @@ def _eyes(renderer: Renderer, level: SceneSpec, floor: FloorMap, count: int) -> 
     candidates = free_places(floor, _PLACES)
     if not len(candidates):
         raise SceneError(
-            f"scene {level.name!r}: nothing is free on the floor at z = {level.floor_z:.2f} m; look at `gibson-sim scene check`"
+            f"scene {quoted(level.name)}: nothing is free on the floor at z = {level.floor_z:.2f} m; look at `gibson-sim scene check`"
         )
     z = level.floor_z + EYE_HEIGHT
     places, yaws = _best(renderer, _nothing_moves(level), candidates, z, count)

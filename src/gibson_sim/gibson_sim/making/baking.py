@@ -83,7 +83,9 @@ def check_blender(python: str) -> None:
     """
     try:
         found = subprocess.run(
-            [python, "-c", "import importlib.util as u, sys; sys.exit(u.find_spec('bpy') is None)"], check=False
+            [python, "-c", "import importlib.util as u, sys; sys.exit(u.find_spec('bpy') is None)"],
+            check=False,
+            capture_output=True,
         )
     except OSError as e:
         raise SceneError(f"--blender-python {python}: cannot be run: {e.strerror or e}; name a Python that has bpy") from e

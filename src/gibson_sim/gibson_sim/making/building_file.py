@@ -12,6 +12,7 @@ from typing import Any
 
 from gibson_sim.errors import SceneError
 from gibson_sim.making.building import Building
+from gibson_sim.writing import write_file
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +45,7 @@ QUALITIES = {
 def write_plan(path: Path, building: Building, quality: Quality) -> None:
     """Writes a plan; the same plan gives the same bytes."""
     values = {"building": dataclasses.asdict(building), "quality": dataclasses.asdict(quality)}
-    path.write_text(json.dumps(values, sort_keys=True, separators=(",", ":")) + "\n", encoding="utf-8")
+    write_file(path, json.dumps(values, sort_keys=True, separators=(",", ":")) + "\n")
 
 
 def read_plan(path: Path) -> tuple[Building, Quality]:

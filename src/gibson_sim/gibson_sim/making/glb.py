@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gibson_sim.geometry.colours import linear_from_srgb
 from gibson_sim.scenes.glb_file import glb_bytes
+from gibson_sim.writing import write_file
 
 F64 = NDArray[np.float64]
 _ARRAY, _INDICES = 34962, 34963
@@ -145,4 +146,4 @@ class _Writer:
     def write(self, path: Path, document: dict[str, Any]) -> None:
         """Writes the file."""
         document |= {"accessors": self._accessors, "bufferViews": self._views, "buffers": [{"byteLength": len(self._binary)}]}
-        path.write_bytes(glb_bytes(document, self._binary))
+        write_file(path, glb_bytes(document, self._binary), durable=False)

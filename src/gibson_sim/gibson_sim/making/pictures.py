@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pose_from_xyz_rpy, quat_from_matrix
 from gibson_sim.making.building import Building, Room, Start
 from gibson_sim.physics.world import PhysicsWorld
+from gibson_sim.picture_files import write_picture
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import drawn_scene
@@ -50,7 +51,7 @@ def write_thumbnail(folder: Path, building: Building) -> None:
     x, y, z = start.position
     picture = views(folder, [eye((x, y, z + EYE_HEIGHT), start.yaw)])[0]
     small = cv2.resize(picture, (WIDTH // 2, HEIGHT // 2), interpolation=cv2.INTER_AREA)
-    cv2.imwrite(str(folder / "thumbnail.jpg"), cv2.cvtColor(small, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 88])
+    write_picture(folder / "thumbnail.jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
 
 
 def best_start(building: Building) -> Start:

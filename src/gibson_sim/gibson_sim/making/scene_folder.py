@@ -20,6 +20,8 @@ from gibson_sim.making.glb import Paint, Patch, write_boxes, write_glb
 from gibson_sim.making.outside import outside
 from gibson_sim.making.pixels import F32, doubled, exposure_of, filled, toned
 from gibson_sim.making.surroundings import ASSETS, SURROUNDINGS, plain_surroundings
+from gibson_sim.picture_files import write_picture
+from gibson_sim.writing import write_file
 
 OUTSIDE = "outside.jpg"
 LIMIT_BYTES = 12_000_000
@@ -66,8 +68,8 @@ def write_scene_folder(building: Building, quality: Quality, work: Path, folder:
     text = yaml.dump(
         _description(building, objects, command), sort_keys=False, default_flow_style=None, width=160, allow_unicode=True
     )
-    (folder / "scene.yaml").write_text(f"# Made by: {command}\n{text}", encoding="utf-8")
-    (folder / "LICENSE").write_text(_LICENSE.format(command=command), encoding="utf-8")
+    write_file(folder / "scene.yaml", f"# Made by: {command}\n{text}")
+    write_file(folder / "LICENSE", _LICENSE.format(command=command))
     size = sum(f.stat().st_size for f in folder.rglob("*") if f.is_file())
     if size > LIMIT_BYTES:
         raise SceneError(f"{folder}: has {size / 1e6:.1f} MB, more than {LIMIT_BYTES / 1e6:.0f}; take a lower quality")
@@ -110,7 +112,7 @@ def _white(shown: NDArray[np.float64], colors: F32) -> NDArray[np.float64]:
 
 
 def _write_image(path: Path, rgb: NDArray[np.uint8], jpeg: int) -> None:
-    cv2.imwrite(str(path), cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, jpeg])
+    write_picture(path, cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), (cv2.IMWRITE_JPEG_QUALITY, jpeg))
 
 
 def calm_small_charts(light: F32, charts: NDArray[np.float64]) -> None:

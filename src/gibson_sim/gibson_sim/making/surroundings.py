@@ -12,6 +12,7 @@ from gibson_sim.geometry.colours import linear_from_srgb
 from gibson_sim.making.building import Building
 from gibson_sim.making.pictures import EYE_HEIGHT, eye, views
 from gibson_sim.making.pixels import F32
+from gibson_sim.picture_files import write_picture
 from gibson_sim.render.environment import irradiance
 
 ASSETS, SURROUNDINGS = "assets", "rooms.hdr"
@@ -51,4 +52,4 @@ def write_surroundings(folder: Path, building: Building, white: float) -> None:
 
 
 def _write(path: Path, linear: F32) -> None:
-    cv2.imwrite(str(path), cv2.cvtColor(linear, cv2.COLOR_RGB2BGR))
+    write_picture(path, cv2.cvtColor(linear, cv2.COLOR_RGB2BGR))

@@ -23,6 +23,7 @@ from gibson_sim.physics.arms import Arms
 from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.link_poses import link_pose
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.collision_count import CollisionCount
 from gibson_sim.robots.grasping import GraspState
 from gibson_sim.robots.joint_commands import JointCommand, JointPositions
@@ -105,7 +106,7 @@ class ArmCommands:
         spec = self._arms.arm(robot, arm)
         gripper = spec.gripper
         if gripper is None:
-            raise CommandError(f"arm {spec.name!r} of robot {robot!r} has no gripper; give it one in its robot.yaml")
+            raise CommandError(f"arm {quoted(spec.name)} of robot {quoted(robot)} has no gripper; give it one in its robot.yaml")
         if not 0.0 <= opening <= 1.0:
             raise CommandError(f"opening of a gripper is {opening}, must be 0 (closed) to 1 (open)")
         position = gripper.closed + opening * (gripper.open - gripper.closed)

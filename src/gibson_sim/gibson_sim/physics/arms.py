@@ -17,6 +17,7 @@ from gibson_sim.physics.grasper import Grasper
 from gibson_sim.physics.reach import Reach
 from gibson_sim.physics.robot import RobotInWorld
 from gibson_sim.physics.tool_servo import ToolServo
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.collision_count import STANDING_HEIGHT, STANDING_NORMAL, CollisionCount, CollisionCounter
 from gibson_sim.robots.grasping import GraspSettings, gripper_move
 from gibson_sim.robots.joint_commands import JointCommand
@@ -71,7 +72,7 @@ class Arms:
     def arm(self, robot: str, name: str) -> ManipulatorSpec:
         """Returns an arm; an empty name = the first one. CommandError where there is none."""
         if robot not in self._robots:
-            raise CommandError(f"no robot {robot!r} in this world; known: {', '.join(self._robots) or 'none'}")
+            raise CommandError(f"no robot {quoted(robot)} in this world; known: {', '.join(self._robots) or 'none'}")
         try:
             return self._robots[robot].spec.manipulator(name)
         except RobotError as error:
@@ -86,7 +87,7 @@ class Arms:
         """Returns the gripper of an arm."""
         arm = self.arm(robot, name)
         if arm.gripper is None:
-            raise CommandError(f"arm {arm.name!r} of robot {robot!r} has no gripper; give it one in its robot.yaml")
+            raise CommandError(f"arm {quoted(arm.name)} of robot {quoted(robot)} has no gripper; give it one in its robot.yaml")
         return self._of(robot).graspers[arm.name]
 
     def tool_servo(self, robot: str, name: str) -> ToolServo:
@@ -161,7 +162,7 @@ class Arms:
 
     def _of(self, robot: str) -> _Robot:
         if robot not in self._robots:
-            raise CommandError(f"no robot {robot!r} in this world; known: {', '.join(self._robots) or 'none'}")
+            raise CommandError(f"no robot {quoted(robot)} in this world; known: {', '.join(self._robots) or 'none'}")
         one = self._robots[robot]
         known = self._known.get(robot)
         if known is None:

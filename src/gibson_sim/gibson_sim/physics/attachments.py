@@ -19,6 +19,7 @@ from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.engine import pybullet as p
 from gibson_sim.physics.force_limits import cube_of, given_in_advance, reach_of
 from gibson_sim.physics.frames import turn
+from gibson_sim.quoting import quoted
 from gibson_sim.types import Quat, Vec3
 
 AttachmentKind = Literal["ball", "fixed"]
@@ -121,7 +122,7 @@ class Attachments:
             PhysicsError: there is no such body or link, both are the same, or the force is no number above 0.
         """
         if kind not in ATTACHMENT_KINDS:
-            raise PhysicsError(f"kind of an attachment is {kind!r}, must be one of {', '.join(ATTACHMENT_KINDS)}")
+            raise PhysicsError(f"kind of an attachment is {quoted(kind)}, must be one of {', '.join(ATTACHMENT_KINDS)}")
         if not (math.isfinite(max_force) and max_force > 0.0):
             raise PhysicsError(f"max_force of an attachment is {max_force} N, must be a finite number above 0")
         a, b = self._find(parent), self._find(child)

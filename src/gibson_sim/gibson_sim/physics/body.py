@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from gibson_sim.physics.engine_types import BulletBody
 from gibson_sim.physics.frames import FrameTable, right_multiplication
 from gibson_sim.physics.joint_motors import JointMotors
 from gibson_sim.physics.link_shapes import LinkShapes
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.joint_commands import JointCommand
 from gibson_sim.robots.kinematics import Chain
 from gibson_sim.robots.rigid import MOVING_TYPES, RigidGroup, physics_urdf, rigid_groups
@@ -72,7 +73,7 @@ class BodyInWorld:
         for name, position in self.model.with_followers(self._start_joints).items():
             if name not in self.body.joint_indices:
                 known = ", ".join(self.moving_joints) or "none"
-                raise PhysicsError(f"{self.name!r} has no joint {name!r} that moves; known: {known}")
+                raise PhysicsError(f"{quoted(self.name)} has no joint {quoted(name)} that moves; known: {known}")
             bullet.place_joint(self.body, self.body.joint_indices[name], position)
         for joint in self.model.joints:
             if joint.mimic is not None:
@@ -189,13 +190,13 @@ class BodyInWorld:
 
     def _number(self, link: str) -> int:
         if link not in self.links:
-            raise PhysicsError(f"{self.name!r} has no link {link!r}; known: {', '.join(self.links)}")
+            raise PhysicsError(f"{quoted(self.name)} has no link {quoted(link)}; known: {', '.join(self.links)}")
         return self.links.index(link)
 
     def link_of_row(self, row: int) -> str:
         """Returns the name of the link whose rigid group is the engine's link ``row`` (-1 = the root)."""
         if row not in self._names_of_rows:
-            raise PhysicsError(f"body {self.name!r} has no link number {row}")
+            raise PhysicsError(f"body {quoted(self.name)} has no link number {row}")
         return self._names_of_rows[row]
 
     def _readable(self, bullet: Bullet, group: RigidGroup) -> RigidGroup:
@@ -205,13 +206,13 @@ class BodyInWorld:
             try:
                 collisions.append((self._readable_shape(bullet, shape), pose))
             except MeshError as error:
-                self.warnings.append(f"{self.name}: collision of link {group.name!r} is left out: {error}")
+                self.warnings.append(f"{self.name}: collision of link {quoted(group.name)} is left out: {error}")
         return replace(group, collisions=collisions)
 
     def _readable_shape(self, bullet: Bullet, shape: Shape) -> Shape:
         if shape.kind != "mesh" or (not self.static and shape.mesh.lower().endswith(_ENGINE_MESHES)):
             return replace(shape, mesh=str(bullet.files.copy_obj(shape.mesh))) if shape.mesh.lower().endswith(".obj") else shape
-        vertices, triangles = load_shape(shape, [Path(shape.mesh).parent]).merged() if self.static else hull_of(shape)
+        vertices, triangles = load_shape(shape).merged() if self.static else hull_of(shape)
         return Shape("mesh", (1.0, 1.0, 1.0), str(bullet.files.write_mesh(vertices, triangles)))
 
     def _frame_table(self) -> FrameTable:
@@ -234,6 +235,15 @@ class BodyInWorld:
         )
 
 
+def read_hulls(model: UrdfModel) -> None:
+    """Makes, in any thread, the convex hulls that a model which moves is bumped into: a body of it is then there at once."""
+    groups, _ = rigid_groups(model, fixed_root=False)
+    for shape, _ in (collision for group in groups for collision in group.collisions):
+        if shape.kind == "mesh" and not shape.mesh.lower().endswith(_ENGINE_MESHES):
+            with suppress(MeshError):  # said by the body itself
+                hull_of(shape)
+
+
 @lru_cache(maxsize=256)
 def hull_of(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Returns corners (N, 3) and triangles (T, 3), outward, of the convex hull of a mesh under its scale.
@@ -241,7 +251,7 @@ def hull_of(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     Raises:
         MeshError: the mesh cannot be read, or is flat.
     """
-    vertices, _ = load_shape(shape, [Path(shape.mesh).parent]).merged()
+    vertices, _ = load_shape(shape).merged()
     try:
         hull = ConvexHull(vertices)
     except (QhullError, ValueError) as error:
@@ -261,7 +271,7 @@ def _corners(shape: Shape) -> NDArray[np.float64]:
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         return np.asarray(signs * np.array(shape.size) / 2)
     if shape.kind == "mesh":
-        vertices, _ = load_shape(shape, [Path(shape.mesh).parent]).merged()
+        vertices, _ = load_shape(shape).merged()
         return vertices
     return np.zeros((0, 3))
 

@@ -23,6 +23,7 @@ from gibson_sim.physics.engine_types import BulletBody, EngineContact, JointRead
 from gibson_sim.physics.frames import cross, product, turn
 from gibson_sim.physics.mesh_pieces import mesh_pieces
 from gibson_sim.physics.sleeping import Sleepers
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.mimic import Mimic
 from gibson_sim.types import Pose, Quat, Vec3
 
@@ -189,7 +190,9 @@ class Bullet:
                     str(path), pose.position, pose.quat_xyzw, useFixedBase=static, flags=flags, physicsClientId=self.client
                 )
         except p.error as error:
-            raise PhysicsError(f"PyBullet refused the URDF of {name!r} ({error}); log level DEBUG shows its reasons") from error
+            raise PhysicsError(
+                f"PyBullet refused the URDF of {quoted(name)} ({error}); log level DEBUG shows its reasons"
+            ) from error
         count = p.getNumJoints(uid, physicsClientId=self.client)
         joints = {p.getJointInfo(uid, i, physicsClientId=self.client)[1].decode(): i for i in range(count)}
         inertial = [p.getDynamicsInfo(uid, i, physicsClientId=self.client)[3:5] for i in range(-1, count)]
@@ -211,7 +214,7 @@ class Bullet:
     def let_rays_pass(self, body: BulletBody, name: str) -> None:
         """Lets ``cast_rays`` leave this body out."""
         if not self._ray_bits:
-            raise PhysicsError(f"cannot add {name!r}: a world holds at most {MAX_BODIES_WITH_RAYS} robots")
+            raise PhysicsError(f"cannot add {quoted(name)}: a world holds at most {MAX_BODIES_WITH_RAYS} robots")
         body.ray_bit = min(self._ray_bits)
         self._ray_bits.remove(body.ray_bit)
         for i in range(-1, body.link_count):

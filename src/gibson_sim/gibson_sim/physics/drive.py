@@ -13,8 +13,8 @@ from gibson_sim.robots.drives import BaseServo, Drive, PlanarVelocity
 from gibson_sim.robots.joint_control import ARRIVED, servo_speed
 from gibson_sim.robots.rigid import rigid_groups
 from gibson_sim.robots.urdf import UrdfModel
-from gibson_sim.robots.wheel_noise import OdometryNoise
-from gibson_sim.types import NS_PER_S, Odometry
+from gibson_sim.robots.wheel_odometry import WheelOdometry
+from gibson_sim.types import NS_PER_S
 
 _SETTLING = 0.1
 """Part of its error by which a servo corrects itself in a step."""
@@ -27,15 +27,17 @@ _G = 9.81
 class DriveInWorld:
     """Tells the motors of one body what its drive wants, and counts what its wheels turn."""
 
-    def __init__(self, drive: Drive, one: BodyInWorld, noise: OdometryNoise | None = None) -> None:
+    def __init__(self, drive: Drive, one: BodyInWorld, odometry: WheelOdometry) -> None:
         """Starts at rest.
 
         Args:
             drive: Its kinematics.
             one: Has been loaded, with all joints at 0.
-            noise: What makes the odometry wrong; None = it is exact.
+            odometry: Of this drive; it counts what the wheels turn.
         """
-        self._drive, self._one, self._noise = drive, one, noise
+        self._drive, self._one = drive, one
+        self.wheel_odometry = odometry
+        """Where the wheels say that the base is."""
         self._wheels = [one.body.joint_indices[joint.name] for joint in drive.wheels]
         self._steering = [one.body.joint_indices[joint.name] for joint in drive.steering]
         self._read = self._wheels + self._steering
@@ -49,11 +51,6 @@ class DriveInWorld:
         self._wanted = self._steered
         self._holds = False
         self._servo = None if drive.servo is None else _Servo(drive.servo, one, frozenset(self._wheels))
-
-    @property
-    def odometry(self) -> Odometry:
-        """Where the wheels say that the base is."""
-        return self._drive.odometry
 
     def actuate(self, bullet: Bullet, wanted: PlanarVelocity, dt: float) -> None:
         """Sets the motors for the next step, which lasts ``dt`` seconds."""
@@ -95,12 +92,7 @@ class DriveInWorld:
         increments = self._drive.encoder_turns(rolled)
         self._angles = angles
         steering = [angle * sign for angle, sign in zip(self._steered, self._steering_signs, strict=True)]
-        noise = self._noise
-        if noise is None:
-            motion = self._drive.travel(increments, steering)
-        else:
-            motion = noise.motion(stamp_ns, *self._drive.travel(noise.wheels(increments), steering))
-        self._drive.advance(*motion, dt)
+        self.wheel_odometry.add(increments, steering, stamp_ns, dt)
 
 
 class _Servo:

@@ -11,6 +11,7 @@ from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.engine_types import EngineContact
 from gibson_sim.physics.reach import Reach
 from gibson_sim.physics.robot import RobotInWorld
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.grasping import Candidate, GraspSettings, GraspState, best_candidate, hinge_of, reason_to_let_go
 from gibson_sim.robots.manipulator_spec import ManipulatorSpec
 from gibson_sim.types import NS_PER_S, Vec3
@@ -78,7 +79,9 @@ class Grasper:
         others = [one for one in self._bodies() if one is not self._robot and target in ("", one.name)]
         if target and not others:
             known = ", ".join(one.name for one in self._bodies() if one is not self._robot) or "nothing"
-            raise CommandError(f"arm {self._arm.name!r} cannot grasp {target!r}: it is not in this world; there are: {known}")
+            raise CommandError(
+                f"arm {quoted(self._arm.name)} cannot grasp {quoted(target)}: it is not in this world; there are: {known}"
+            )
         if self.held:
             return
         mode = self._settings.mode

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +41,7 @@ def _planes(shape: Shape) -> F64:
     """Returns the planes, (P, 4), outward, of the convex hull of a mesh; none for what is no mesh, or flat."""
     if shape.kind != "mesh":
         return np.zeros((0, 4))
-    vertices, _ = load_shape(shape, [Path(shape.mesh).parent]).merged()
+    vertices, _ = load_shape(shape).merged()
     try:
         return np.asarray(ConvexHull(vertices).equations)
     except (QhullError, ValueError):

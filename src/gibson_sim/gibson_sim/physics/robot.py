@@ -9,7 +9,7 @@ from gibson_sim.physics.joint_motors import JointMotors
 from gibson_sim.robots.drives import active_command, make_drive
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.robots.urdf import read_urdf
-from gibson_sim.robots.wheel_noise import OdometryNoise
+from gibson_sim.robots.wheel_odometry import WheelOdometry
 from gibson_sim.types import VelocityCommand
 
 
@@ -39,10 +39,8 @@ class RobotInWorld(BodyInWorld):
         self.drive: DriveInWorld | None = None
         if self.spec.drive is not None:
             drive = make_drive(self.spec.drive)
-            noise = OdometryNoise(
-                self.spec.sensors.wheel_odometry, self.name, self._seed, left=[wheel.is_left for wheel in drive.wheels]
-            )
-            self.drive = DriveInWorld(drive, self, None if noise.exact else noise)
+            odometry = WheelOdometry(drive, self.spec.sensors.wheel_odometry, self.name, self._seed)
+            self.drive = DriveInWorld(drive, self, odometry)
         self._step_start_ns = 0
 
     def _ready_motors(self, bullet: Bullet) -> None:

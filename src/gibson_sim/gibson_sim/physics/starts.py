@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable
 from gibson_sim.errors import StartError
 from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.collision_count import STANDING_HEIGHT, STANDING_NORMAL
 
 _DEEPEST = 0.05
@@ -33,6 +34,6 @@ def check_starts(bullet: Bullet, robots: Iterable[BodyInWorld], others: Collecti
                 deepest, where = -gap.distance, gap.other
         if where:
             raise StartError(
-                f"robot {robot.name!r} would start at ({x:.2f}, {y:.2f}, {z:.2f}), {deepest:.2f} m deep in {where!r}; at most "
+                f"robot {quoted(robot.name)} would start at ({x:.2f}, {y:.2f}, {z:.2f}), {deepest:.2f} m deep in {quoted(where)}; at most "
                 f"{_DEEPEST:g} m are allowed: choose a free place as its start"
             )

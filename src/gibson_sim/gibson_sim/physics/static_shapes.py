@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gibson_sim.errors import MeshError
 from gibson_sim.physics.bullet import Bullet
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.spec import Shape
 from gibson_sim.scenes.mesh import MeshLoader, scene_roots
 from gibson_sim.scenes.spec import SceneSpec
@@ -45,11 +46,11 @@ def _static_shape(bullet: Bullet, loader: MeshLoader, shape: Shape, name: str, w
     try:
         vertices, triangles = loader.shape(shape).merged()
     except MeshError as error:
-        warnings.append(f"collision {name!r} is left out: {error}")
+        warnings.append(f"collision {quoted(name)} is left out: {error}")
         return []
     sound = sound_triangles(vertices, triangles)
     if not len(sound):
-        warnings.append(f"collision {name!r} is left out: {shape.mesh} has no triangle with an area")
+        warnings.append(f"collision {quoted(name)} is left out: {shape.mesh} has no triangle with an area")
         return []
     return bullet.mesh_shape(vertices, sound, shape.mesh)
 

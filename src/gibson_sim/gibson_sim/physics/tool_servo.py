@@ -8,6 +8,7 @@ from gibson_sim.errors import CommandError
 from gibson_sim.geometry.transforms import matrix_from_quat
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.robot import RobotInWorld
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.joint_commands import JointTrajectory, JointVelocities
 from gibson_sim.robots.manipulator_spec import ManipulatorSpec
 from gibson_sim.robots.servo import F64, ServoSettings, ToolTwist, limited_twist, servo_speeds
@@ -48,8 +49,8 @@ class ToolServo:
         """
         if twist.frame and twist.frame not in self._robot.links:
             raise CommandError(
-                f"servo of arm {self._arm.name!r}: frame {twist.frame!r} is no link of robot {self._robot.name!r}; "
-                f"use its base, {self._robot.links[0]!r}, its tool, {self._arm.tip_link!r}, or another of its links"
+                f"servo of arm {quoted(self._arm.name)}: frame {quoted(twist.frame)} is no link of robot {quoted(self._robot.name)}; "
+                f"use its base, {quoted(self._robot.links[0])}, its tool, {quoted(self._arm.tip_link)}, or another of its links"
             )
         self._twist, self._until_ns = twist, now_ns + round(self._settings.timeout * NS_PER_S)
         self._next_ns = now_ns

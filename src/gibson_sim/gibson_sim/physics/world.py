@@ -24,9 +24,12 @@ from gibson_sim.physics.proximity import Neighbour, neighbours
 from gibson_sim.physics.robot import RobotInWorld
 from gibson_sim.physics.starts import check_starts
 from gibson_sim.physics.static_shapes import add_static_shapes
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.grasping import GraspSettings
 from gibson_sim.robots.joint_commands import JointCommand
+from gibson_sim.robots.odometry_errors import OdometryCovariance, OdometryErrors
+from gibson_sim.robots.sensor_specs import WheelOdometrySpec
 from gibson_sim.robots.servo import ServoSettings
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.spec import SceneSpec
@@ -233,7 +236,7 @@ class PhysicsWorld(ArmCommands):
         """
         one = self._robot(robot)
         if one.drive is None:
-            raise CommandError(f"robot {robot!r} has no drive and cannot obey a velocity; give it one in its robot.yaml")
+            raise CommandError(f"robot {quoted(robot)} has no drive and cannot obey a velocity; give it one in its robot.yaml")
         one.command = command if command.stamp_ns <= self.stamp_ns else replace(command, stamp_ns=self.stamp_ns)
 
     def command_joints(self, name: str, command: JointCommand) -> None:
@@ -296,7 +299,12 @@ class PhysicsWorld(ArmCommands):
     def odometry(self, robot: str) -> Odometry:
         """Returns what the wheels say; a robot without a drive stays at the origin of its odom frame."""
         drive = self._robot(robot).drive
-        return drive.odometry if drive is not None else Odometry(0.0, 0.0, 0.0, 0.0, 0.0)
+        return drive.wheel_odometry.odometry if drive is not None else Odometry(0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def odometry_covariance(self, robot: str) -> OdometryCovariance:
+        """Returns how well ``odometry`` is known, by the errors that the robot's file gives to it."""
+        drive = self._robot(robot).drive
+        return drive.wheel_odometry.covariance() if drive is not None else OdometryErrors(WheelOdometrySpec()).covariance()
 
     def cast_rays(
         self, origins: ArrayLike, directions: ArrayLike, range_max: float, ignore: str | None = None
@@ -358,18 +366,20 @@ class PhysicsWorld(ArmCommands):
 
     def _robot(self, name: str) -> RobotInWorld:
         if name not in self._robots:
-            raise CommandError(f"no robot {name!r} in this world; known: {', '.join(self._robots) or 'none'}")
+            raise CommandError(f"no robot {quoted(name)} in this world; known: {', '.join(self._robots) or 'none'}")
         return self._robots[name]
 
     def _jointed(self, name: str) -> BodyInWorld:
         if name not in self.names:
-            raise CommandError(f"no robot or body {name!r} in this world; known: {', '.join(self.names) or 'none'}")
+            raise CommandError(f"no robot or body {quoted(name)} in this world; known: {', '.join(self.names) or 'none'}")
         return self._one(name)
 
     def _one(self, name: str) -> BodyInWorld:
         one = self._robots.get(name) or self._bodies.get(name)
         if one is None:
-            raise PhysicsError(f"nothing in this world is called {name!r}; there are: {', '.join(self.names) or 'no bodies'}")
+            raise PhysicsError(
+                f"nothing in this world is called {quoted(name)}; there are: {', '.join(self.names) or 'no bodies'}"
+            )
         return one
 
     def _all(self) -> tuple[BodyInWorld, ...]:
@@ -377,7 +387,7 @@ class PhysicsWorld(ArmCommands):
 
     def _check_new(self, name: str) -> None:
         if name in self._robots or name in self._bodies:
-            raise PhysicsError(f"the name {name!r} is taken; choose another one")
+            raise PhysicsError(f"the name {quoted(name)} is taken; choose another one")
 
     def _load_robot(self, spec: RobotSpec) -> None:
         self._robots[spec.name] = robot = RobotInWorld(self._bullet, spec, self._seed)

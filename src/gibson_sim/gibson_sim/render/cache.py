@@ -2,7 +2,8 @@
 
 One file for each scene: a pickle of the ``Batches`` with its arrays outside it, page aligned, so that they are mapped into memory and
 never copied. What decides the result is in the file's name: what is drawn, and the code that reads and cuts it; the meshes and
-textures that were read are compared by size and time of change. A file is the user's own, as the folder is; do not load others'.
+textures that were read are compared by size and time of change. To unpickle is to run what the file says: one that is not the user's
+own, or that others may write, is not read.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import logging
 import mmap
 import os
 import pickle
+import stat
 import struct
 from collections.abc import Sequence
 from pathlib import Path
@@ -48,6 +50,7 @@ class SceneCache:
 
     def __init__(self, folder: Path, limit_bytes: int = LIMIT_BYTES) -> None:
         self._folder, self._limit = folder, limit_bytes
+        self._distrusted = False
 
     def path(self, visuals: Sequence[VisualSpec], links: Sequence[str], labels: Sequence[tuple[int, int]], coarser: bool) -> Path:
         """Returns the file for what is drawn; the arguments are those of ``build_batches``."""
@@ -70,7 +73,15 @@ class SceneCache:
     def load(self, path: Path) -> Batches | None:
         """Returns what a file holds, or None where there is none, or none that still holds. Its arrays cannot be written to."""
         try:
-            with path.open("rb") as file:
+            reason = _unsafe(self._folder)
+            descriptor = -1 if reason else os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+            if descriptor >= 0 and (reason := _others(os.fstat(descriptor))):
+                os.close(descriptor)
+                reason = f"{path} {reason}"
+            if reason:
+                self._distrust(reason)
+                return None
+            with open(descriptor, "rb") as file:
                 content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
             batches, files = _unpacked(memoryview(content))
         except FileNotFoundError:
@@ -104,7 +115,12 @@ class SceneCache:
         temporary = path.with_suffix(f".{os.getpid()}")
         try:
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            with temporary.open("wb") as file:
+            if reason := _unsafe(self._folder):
+                self._distrust(reason)
+                return
+            temporary.unlink(missing_ok=True)
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+            with open(os.open(temporary, flags, 0o600), "wb") as file:
                 _pack(file, (batches, files))
             temporary.replace(path)
             self._trim()
@@ -112,6 +128,14 @@ class SceneCache:
             _log.warning("the loaded scene cannot be kept in %s (%s); the next start will load it again", path.parent, error)
             with contextlib.suppress(OSError):
                 temporary.unlink(missing_ok=True)
+
+    def _distrust(self, reason: str) -> None:
+        """Says, once, why the cache is not used."""
+        if not self._distrusted:
+            self._distrusted = True
+            _log.warning(
+                "%s: what is kept of loaded scenes is not used; remove it, or set XDG_CACHE_HOME to a folder of your own", reason
+            )
 
     def _trim(self) -> None:
         """Deletes the files unused for longest until the rest is below the limit."""
@@ -121,6 +145,28 @@ class SceneCache:
             total += file.stat().st_size
             if total > self._limit and file != files[0]:
                 file.unlink(missing_ok=True)
+
+
+def _unsafe(folder: Path) -> str:
+    """Returns why files of the cache cannot be trusted, "" if they can: whose the folder is, and the one that it lies in."""
+    for place in (folder, folder.parent):
+        try:
+            status = place.stat()
+        except FileNotFoundError:
+            continue
+        # In /tmp the sticky bit keeps others from putting another folder in the place of this one.
+        if place != folder and status.st_mode & stat.S_ISVTX:
+            continue
+        if reason := _others(status):
+            return f"{place} {reason}"
+    return ""
+
+
+def _others(status: os.stat_result) -> str:
+    """Returns how others than this user could have written a file or folder, "" if they could not."""
+    if status.st_uid not in (0, os.geteuid()):  # what root says is run anyway
+        return f"belongs to user {status.st_uid}"
+    return "may be written by others" if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH) else ""
 
 
 def _pack(file: Any, value: object) -> None:

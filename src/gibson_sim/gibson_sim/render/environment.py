@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.colours import linear_from_srgb
+from gibson_sim.reading import read_file
+from gibson_sim.scenes.image_header import MAX_IMAGE_BYTES
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -35,7 +37,7 @@ def load_environment(path: Path) -> F32:
         SceneError: the file cannot be read, or is no equirectangular image.
     """
     try:
-        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+        data = np.frombuffer(read_file(path, MAX_IMAGE_BYTES), dtype=np.uint8)
         image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
     except OSError as e:
         raise SceneError(f"environment {path}: cannot be read: {e.strerror or e}") from e

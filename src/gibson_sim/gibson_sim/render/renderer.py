@@ -30,7 +30,7 @@ from gibson_sim.render.readback import Readback, Shot, needed
 from gibson_sim.render.target import Target
 from gibson_sim.render.tensors import TensorFrame, Tensors
 from gibson_sim.render.visibility import world_from_links
-from gibson_sim.scenes.mesh import MeshLoader
+from gibson_sim.scenes.mesh import MeshLoader, mesh_folders
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.types import CameraSpec, Frame, Pose, SceneState
 
@@ -159,8 +159,9 @@ class Renderer:
         if self._loader is not None:
             return self._loader
         roots = set(_roots(scene, self._allowed_roots))
-        if self._own_loader is None or not roots <= set(self._own_loader.roots):
-            self._own_loader = MeshLoader(sorted(roots | set(self._own_loader.roots if self._own_loader else ())))
+        known = set(self._own_loader.roots or ()) if self._own_loader is not None else set()
+        if self._own_loader is None or not roots <= known:
+            self._own_loader = MeshLoader(sorted(roots | known))
         return self._own_loader.shape
 
     def render(self, state: SceneState, cameras: Sequence[CameraSpec], previous: SceneState | None = None) -> list[Frame]:
@@ -370,5 +371,5 @@ def _roots(scene: DrawnScene, allowed_roots: Sequence[Path] | None) -> list[Path
     """Returns the folders that files may lie in. Models keep ``meshes/`` and ``materials/`` side by side, so one above the mesh."""
     if allowed_roots is not None:
         return list(allowed_roots)
-    folders = {Path(v.shape.mesh).parent for v in scene.visuals if v.shape.kind == "mesh"}
+    folders = mesh_folders(visual.shape for visual in scene.visuals)
     return sorted({f if f.parent == f.parent.parent else f.parent for f in folders})

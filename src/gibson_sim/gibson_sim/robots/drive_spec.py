@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
 from gibson_sim.types import Vec3
 
 DriveKind = Literal["differential", "skid_steer", "omni", "ackermann"]
@@ -119,7 +120,7 @@ class OmniSpec(_Limits):
         for wheel in self.wheels:
             if abs(math.cos(wheel.roller)) < 0.1:
                 raise ConfigError(
-                    f"drive: rollers of {wheel.joint!r} stand at {math.degrees(wheel.roller):g} degrees, so that its motor turns "
+                    f"drive: rollers of {quoted(wheel.joint)} stand at {math.degrees(wheel.roller):g} degrees, so that its motor turns "
                     "them only; 0 is an omni wheel, 45 or -45 mecanum"
                 )
         if len(self.wheels) < 3 or np.linalg.matrix_rank(self.wheel_matrix(), tol=1e-3 / self.wheel_radius) < 3:
@@ -180,7 +181,9 @@ class AckermannSpec(_Limits):
         if self.max_steering > math.radians(80.0):
             raise ConfigError(f"drive: max_steering is {math.degrees(self.max_steering):g} degrees, must be at most 80")
         if not (math.isfinite(self.min_turning_radius) and self.min_turning_radius >= 0.0):
-            raise ConfigError(f"drive: min_turning_radius is {self.min_turning_radius!r} m, must be a finite number, 0 or more")
+            raise ConfigError(
+                f"drive: min_turning_radius is {quoted(self.min_turning_radius)} m, must be a finite number, 0 or more"
+            )
 
     @property
     def kind(self) -> DriveKind:
@@ -202,18 +205,20 @@ def _check_positive(spec: DriveSpec, *names: str) -> None:
     for name in names:
         value = getattr(spec, name)
         if not (math.isfinite(value) and value > 0):
-            raise ConfigError(f"drive: {name} is {value!r}, must be a finite number above 0")
+            raise ConfigError(f"drive: {name} is {quoted(value)}, must be a finite number above 0")
 
 
 def _check_response(command_delay: float, slip: float, turn_slip: float = 0.0) -> None:
     if not 0.0 <= command_delay <= 10.0:
-        raise ConfigError(f"drive: command_delay is {command_delay!r} s, must be 0 to 10; was it given in milliseconds?")
+        raise ConfigError(f"drive: command_delay is {quoted(command_delay)} s, must be 0 to 10; was it given in milliseconds?")
     for name, value in (("slip", slip), ("turn_slip", turn_slip)):
         if not -0.5 <= value <= 0.9:
-            raise ConfigError(f"drive: {name} is {value!r}, must be -0.5 to 0.9; 0 = none, 0.1 = a tenth of the motion is lost")
+            raise ConfigError(
+                f"drive: {name} is {quoted(value)}, must be -0.5 to 0.9; 0 = none, 0.1 = a tenth of the motion is lost"
+            )
 
 
 def _check_joints(names: tuple[str, ...]) -> None:
     for name in names:
         if names.count(name) > 1:
-            raise ConfigError(f"drive: joint {name!r} is named twice; each joint has one task")
+            raise ConfigError(f"drive: joint {quoted(name)} is named twice; each joint has one task")

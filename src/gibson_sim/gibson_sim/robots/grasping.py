@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.joint_commands import JointCommand, JointEfforts, JointPositions, JointTrajectory, JointVelocities
 from gibson_sim.robots.manipulator_spec import GripperSpec
 from gibson_sim.robots.urdf import UrdfModel
@@ -41,7 +42,7 @@ class GraspSettings:
 
     def __post_init__(self) -> None:
         if self.mode not in GRASP_MODES:
-            raise ConfigError(f"grasp mode is {self.mode!r}, must be one of {', '.join(GRASP_MODES)}")
+            raise ConfigError(f"grasp mode is {quoted(self.mode)}, must be one of {', '.join(GRASP_MODES)}")
         for name, unit in (("distance", "m"), ("max_force", "N")):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):

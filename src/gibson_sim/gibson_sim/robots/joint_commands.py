@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 
 from gibson_sim.errors import CommandError
+from gibson_sim.quoting import quoted
 
 Numbers = tuple[float, ...]
 
@@ -121,7 +122,7 @@ def _check_row(what: str, names: tuple[str, ...], row: Numbers) -> None:
 def _check_names(what: str, names: tuple[str, ...]) -> None:
     for name in names:
         if names.count(name) > 1:
-            raise CommandError(f"{what}: joint {name!r} is named twice; name each joint once")
+            raise CommandError(f"{what}: joint {quoted(name)} is named twice; name each joint once")
 
 
 def _check_count(what: str, key: str, count: int, joints: int) -> None:

@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import NamedTuple, Protocol
 
 from gibson_sim.errors import CommandError
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.joint_commands import JointCommand, JointEfforts, JointPositions, JointTrajectory, TrajectoryPoint
 from gibson_sim.robots.urdf import UrdfJoint
 from gibson_sim.types import NS_PER_S
@@ -145,9 +146,9 @@ class JointControl:
 
     def _joint(self, name: str) -> UrdfJoint:
         if name in self._others:
-            raise CommandError(f"joint {name!r} belongs to the drive; send a velocity (cmd_vel) instead")
+            raise CommandError(f"joint {quoted(name)} belongs to the drive; send a velocity (cmd_vel) instead")
         if name not in self._joints:
-            raise CommandError(f"no joint {name!r} that obeys commands; known: {', '.join(self._joints) or 'none'}")
+            raise CommandError(f"no joint {quoted(name)} that obeys commands; known: {', '.join(self._joints) or 'none'}")
         return self._joints[name]
 
     def _trajectory(
@@ -290,7 +291,7 @@ def _path(joint: UrdfJoint, knots: list[_Knot], first_ns: int, position: float, 
         mean = (b.position - a.position) / (b.time_ns - a.time_ns) * NS_PER_S
         if joint.velocity and abs(mean) > joint.velocity * _FASTER:
             raise CommandError(
-                f"joint trajectory: joint {joint.name!r} would go from {a.position:g} to {b.position:g} at {abs(mean):g} a second, "
+                f"joint trajectory: joint {quoted(joint.name)} would go from {a.position:g} to {b.position:g} at {abs(mean):g} a second, "
                 f"its limit is {joint.velocity:g}; give it more time"
             )
     return _Path(joint, all_knots)
@@ -346,16 +347,18 @@ def _is_bounded(joint: UrdfJoint) -> bool:
 
 def _check_position(joint: UrdfJoint, value: float, where: str) -> None:
     if _is_bounded(joint) and not joint.lower - _ROUNDING <= value <= joint.upper + _ROUNDING:
-        raise CommandError(f"joint {joint.name!r}: position{where} is {value:g}, must be {joint.lower:g} to {joint.upper:g}")
+        raise CommandError(
+            f"joint {quoted(joint.name)}: position{where} is {value:g}, must be {joint.lower:g} to {joint.upper:g}"
+        )
 
 
 def _check_velocity(joint: UrdfJoint, value: float, where: str) -> None:
     if joint.velocity and abs(value) > joint.velocity + _ROUNDING:
         raise CommandError(
-            f"joint {joint.name!r}: velocity{where} is {value:g}, must be {-joint.velocity:g} to {joint.velocity:g}"
+            f"joint {quoted(joint.name)}: velocity{where} is {value:g}, must be {-joint.velocity:g} to {joint.velocity:g}"
         )
 
 
 def _check_effort(joint: UrdfJoint, value: float) -> None:
     if joint.effort and abs(value) > joint.effort + _ROUNDING:
-        raise CommandError(f"joint {joint.name!r}: effort is {value:g}, must be {-joint.effort:g} to {joint.effort:g}")
+        raise CommandError(f"joint {quoted(joint.name)}: effort is {value:g}, must be {-joint.effort:g} to {joint.effort:g}")

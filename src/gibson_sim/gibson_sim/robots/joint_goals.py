@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 from gibson_sim.errors import CommandError
+from gibson_sim.quoting import quoted
 from gibson_sim.types import NS_PER_S
 
 GOAL_TOLERANCE = 0.01
@@ -77,11 +78,11 @@ class TrajectoryGoal:
         for name in (*self.path, *self.goal):
             if name not in self.names:
                 raise CommandError(
-                    f"tolerance is given for joint {name!r}, which the trajectory does not move: {', '.join(self.names)}"
+                    f"tolerance is given for joint {quoted(name)}, which the trajectory does not move: {', '.join(self.names)}"
                 )
         for name in self.names:
             if name not in known:
-                raise CommandError(f"joint {name!r} is none of this controller's: {', '.join(known)}")
+                raise CommandError(f"joint {quoted(name)} is none of this controller's: {', '.join(known)}")
 
     def outcome(
         self, now_ns: int, desired: Mapping[str, float], positions: Mapping[str, float], velocities: Mapping[str, float]
@@ -98,7 +99,7 @@ class TrajectoryGoal:
             for name, tolerance in self.path.items():
                 error = abs(positions[name] - desired.get(name, positions[name]))
                 if tolerance.position > 0.0 and error > tolerance.position:
-                    reason = f"joint {name!r} is {error:.4g} off its path, allowed are {tolerance.position:g}"
+                    reason = f"joint {quoted(name)} is {error:.4g} off its path, allowed are {tolerance.position:g}"
                     return Ended(TrajectoryCode.PATH_TOLERANCE_VIOLATED, reason)
             return None
         missed = self._missed(positions, velocities)
@@ -115,9 +116,9 @@ class TrajectoryGoal:
             tolerance = self.goal.get(name, Tolerance())
             allowed, error = tolerance.position or GOAL_TOLERANCE, abs(positions[name] - end)
             if allowed > 0.0 and error > allowed:
-                return f"joint {name!r} is {error:.4g} off its goal, allowed are {allowed:g}"
+                return f"joint {quoted(name)} is {error:.4g} off its goal, allowed are {allowed:g}"
             if 0.0 < tolerance.velocity < abs(velocities[name]):
-                return f"joint {name!r} moves at {abs(velocities[name]):.4g}, allowed are {tolerance.velocity:g}"
+                return f"joint {quoted(name)} moves at {abs(velocities[name]):.4g}, allowed are {tolerance.velocity:g}"
         return ""
 
 

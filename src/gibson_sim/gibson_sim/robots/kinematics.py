@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import CommandError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.mimic import Mimic
 from gibson_sim.robots.urdf_model import UrdfJoint, UrdfModel
 
@@ -104,7 +105,7 @@ class Chain:
         """
         above = {joint.child: joint for joint in model.joints}
         if tip not in {link.name for link in model.links}:
-            raise CommandError(f"no link {tip!r}; known: {', '.join(link.name for link in model.links)}")
+            raise CommandError(f"no link {quoted(tip)}; known: {', '.join(link.name for link in model.links)}")
         path: list[UrdfJoint] = []
         link = tip
         while link in above:
@@ -116,14 +117,14 @@ class Chain:
         ]
         moving = list(dict.fromkeys(link.leader for link in self._path if link.leader))
         if not moving:
-            raise CommandError(f"no joint moves link {tip!r}; choose a link at the end of an arm")
+            raise CommandError(f"no joint moves link {quoted(tip)}; choose a link at the end of an arm")
         for name in joints or ():
             if name not in moving:
-                raise CommandError(f"joint {name!r} does not move link {tip!r}; these do: {', '.join(moving)}")
+                raise CommandError(f"joint {quoted(name)} does not move link {quoted(tip)}; these do: {', '.join(moving)}")
         self.names = tuple(name for name in moving if joints is None or name in joints)
         """The joints that may move, the root's first; those that follow others are not among them."""
         if not self.names:
-            raise CommandError(f"no joint of the chain to link {tip!r} may move; name at least one of {', '.join(moving)}")
+            raise CommandError(f"no joint of the chain to link {quoted(tip)} may move; name at least one of {', '.join(moving)}")
         limits = [_limits(model, name) for name in self.names]
         self._lower = np.array([lower for lower, _ in limits])
         self._upper = np.array([upper for _, upper in limits])

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gibson_sim.errors import ConfigError, RobotError
-from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
+from gibson_sim.geometry.transforms import matrix_from_pose
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import is_file, is_folder
 from gibson_sim.resources import find_robot
+from gibson_sim.robots.base_frame import with_base
 from gibson_sim.robots.body import model_visuals
+from gibson_sim.robots.derive import DESCRIPTION_SUFFIXES, DerivedRobot, derive_robot
+from gibson_sim.robots.extents import MeshPoints, reach
 from gibson_sim.robots.load_cameras import read_cameras
 from gibson_sim.robots.load_drive import read_drive
 from gibson_sim.robots.load_manipulators import MANIPULATOR_KEYS, read_manipulators, read_poses
@@ -21,55 +22,81 @@ from gibson_sim.robots.load_sensors import SENSOR_KEYS, read_sensors
 from gibson_sim.robots.mesh_files import PACKAGE_SCHEME, resolve_mesh
 from gibson_sim.robots.rigid import MOVING_TYPES
 from gibson_sim.robots.settings import NAME, Settings, read_yaml
-from gibson_sim.robots.spec import RobotSpec, Shape
+from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.robots.urdf import UrdfModel, read_urdf
 from gibson_sim.robots.xacro import plain_description
-from gibson_sim.types import (
-    Pose,
-)
+from gibson_sim.types import Pose
 
 logger = logging.getLogger(__name__)
 
 ROBOT_FILE = "robot.yaml"
-_ROBOT_KEYS = ("urdf", "xacro_args", "base_link", "radius", "height", "drive", "cameras", *SENSOR_KEYS, *MANIPULATOR_KEYS)
+_ROBOT_KEYS = (
+    "urdf",
+    "xacro_args",
+    "base_link",
+    "base_height",
+    "wheel_drop",
+    "friction",
+    "radius",
+    "height",
+    "drive",
+    "cameras",
+    *SENSOR_KEYS,
+    *MANIPULATOR_KEYS,
+)
+_NO_ROBOTS = {
+    ".sdf": "is an SDF model, which is spawned as a body",
+    ".xml": "is no URDF by its name",
+    ".zip": "is an archive: unpack it",
+}
+"""Suffixes of files that are taken for robots, and what they are."""
 
 
 def load_robot(
-    path_or_name: Path | str, *, name: str = "robot", start: Pose | None = None, find: Callable[[str], Path] | None = None
+    path_or_name: Path | str,
+    *,
+    name: str = "robot",
+    start: Pose | None = None,
+    find: Callable[[str], Path] | None = None,
+    points: MeshPoints | None = None,
 ) -> RobotSpec:
-    """Returns the robot that a ``robot.yaml`` describes.
+    """Returns the robot that a ``robot.yaml`` describes, or a URDF or a xacro, for which it is guessed (``robots.derive``).
 
     Args:
-        path_or_name: A ``robot.yaml``, a folder that holds one, or the name of a robot that ``find`` knows.
+        path_or_name: A ``robot.yaml``, a URDF, a xacro, a folder that holds one, or the name of a robot that ``find`` knows.
         name: Body name; its links become ``<name>/<link>``.
         start: T_world_base at load; None = the origin.
         find: Takes a name to the robot's folder or file; None = ``config/robots/<name>`` of a share folder (see ``resources``).
+        points: Reads meshes; None = they do not count in radius and height, nor as wheels. ``scenes.robot_files`` has it.
 
     Raises:
         RobotError: a file is missing or broken; one line.
     """
     if not NAME.fullmatch(name):
-        raise RobotError(f"robot name {name!r} is not usable in ROS; use letters, digits and _, a letter first")
-    path = _robot_file(path_or_name, find)
-    robot = Settings(read_yaml(path), str(path))
+        raise RobotError(f"robot name {quoted(name)} is not usable in ROS; use letters, digits and _, a letter first")
+    path = find_robot_file(path_or_name, find)
+    if path.suffix.lower() in DESCRIPTION_SUFFIXES:
+        derived = derive_file(path, points)
+        for note in derived.notes:
+            logger.info("%s: no robot.yaml; guessed %s", path.name, note)
+        robot = Settings({"urdf": path.name, **derived.values}, str(path))
+    else:
+        robot = Settings(read_yaml(path), str(path))
     robot.check_keys(_ROBOT_KEYS)
-    model = read_urdf(_description(robot, path))
+    model = _model(robot, path)
     for warning in model.warnings:
         logger.warning("%s", warning)
     for joint in model.joints:
         if joint.kind not in (*MOVING_TYPES, "fixed"):
-            raise RobotError(f"{model.path}: joint {joint.name!r} is {joint.kind}, which is not simulated")
-    base = robot.text("base_link", model.root)
-    if base != model.root:
-        raise RobotError(f"{path}: base_link is {base!r}, must be the root link of {model.path.name}, {model.root!r}")
+            raise RobotError(f"{model.path}: joint {quoted(joint.name)} is {joint.kind}, which is not simulated")
     try:
         drive = read_drive(robot, model)
         poses, joints = read_poses(robot, model, drive)
-        radius, height = _size(model, robot, dict(joints))
+        radius, height = _size(model, robot, dict(joints), points)
         return RobotSpec(
             name=name,
             urdf=model.path,
-            base_link=base,
+            base_link=model.root,
             links=tuple(link.name for link in model.links),
             visuals=model_visuals(model, name),
             fixed_transforms=tuple((j.parent, j.child, j.pose) for j in model.joints if j.kind == "fixed"),
@@ -88,16 +115,64 @@ def load_robot(
         raise RobotError(f"{path}: {error}") from error
 
 
-def _robot_file(path_or_name: Path | str, find: Callable[[str], Path] | None) -> Path:
+def derive_file(
+    path: Path, points: MeshPoints | None = None, arguments: Mapping[str, str] | None = None, *, needs_drive: bool = True
+) -> DerivedRobot:
+    """Returns what a ``robot.yaml`` for the URDF or xacro at ``path`` could say; the arguments are those of ``derive_robot``."""
+    return derive_robot(read_urdf(plain_description(path, arguments or {})), points, needs_drive=needs_drive)
+
+
+def find_robot_file(path_or_name: Path | str, find: Callable[[str], Path] | None = None) -> Path:
+    """Returns the absolute path of a robot's ``robot.yaml``, or of the URDF or xacro of a robot that has none.
+
+    Raises:
+        RobotError: there is none, or a folder holds several.
+    """
     path = Path(path_or_name)
-    is_path = isinstance(path_or_name, Path) or path.suffix in (".yaml", ".yml") or len(path.parts) != 1
-    if not is_path:
-        path = Path((find or find_robot)(str(path_or_name)))
-    if path.is_dir():
-        path = path / ROBOT_FILE
-    if not path.is_file():
-        raise RobotError(f"no robot at {path}; give a {ROBOT_FILE}, a folder with one, or the name of a known robot")
+    suffixes = (".yaml", ".yml", *DESCRIPTION_SUFFIXES)
+    is_path = isinstance(path_or_name, Path) or path.suffix.lower() in (*suffixes, *_NO_ROBOTS) or len(path.parts) != 1
+    path = path.expanduser() if is_path else Path((find or find_robot)(str(path_or_name)))
+    if is_folder(path):
+        path = _in_folder(path)
+    if not is_file(path):
+        raise RobotError(f"no robot at {path}; give a {ROBOT_FILE}, a URDF, a folder with one, or the name of a known robot")
+    if path.suffix.lower() not in suffixes:
+        raise RobotError(
+            f"{path}: {_NO_ROBOTS.get(path.suffix.lower(), 'describes no robot')}; give a {ROBOT_FILE}, a URDF or a xacro"
+        )
     return path.absolute()
+
+
+def _in_folder(folder: Path) -> Path:
+    """Returns the file in a folder that describes a robot: the ``robot.yaml``, or the only URDF."""
+    if is_file(folder / ROBOT_FILE):
+        return folder / ROBOT_FILE
+    try:
+        inside = sorted(file for file in folder.iterdir() if file.name.lower().endswith((".urdf", ".urdf.xacro")))
+    except OSError as error:
+        raise RobotError(f"{folder}: cannot be read: {error.strerror}") from error
+    if len(inside) > 1:
+        names = ", ".join(file.name for file in inside[:8])
+        raise RobotError(f"{folder}: holds no {ROBOT_FILE} and {len(inside)} descriptions, name one: {names}")
+    return inside[0] if inside else folder / ROBOT_FILE
+
+
+def _model(robot: Settings, path: Path) -> UrdfModel:
+    """Returns the links of a robot, whose root is the frame of odometry."""
+    model = read_urdf(_description(robot, path))
+    height = robot.numbers(("base_height",)).get("base_height", 0.0)
+    lowered, frictions = _numbers_of(robot, "wheel_drop"), _numbers_of(robot, "friction")
+    try:
+        file = with_base(model, robot.text("base_link", model.root), height, lowered, frictions)
+    except RobotError as error:
+        raise RobotError(f"{path}: {error}") from error
+    return model if file == model.path else read_urdf(file)
+
+
+def _numbers_of(robot: Settings, key: str) -> dict[str, float]:
+    """Returns the numbers of a section by name."""
+    section = robot.section(key)
+    return {} if section is None else {str(name): section.number(name) for name in section.values}
 
 
 def _description(robot: Settings, path: Path) -> Path:
@@ -106,7 +181,7 @@ def _description(robot: Settings, path: Path) -> Path:
     arguments: dict[str, str] = {}
     for key, value in {} if section is None else section.values.items():
         if not isinstance(value, (str, int, float)):
-            raise RobotError(f"{robot.where}: xacro_args: {key} is {value!r}, must be a text, a number, true or false")
+            raise RobotError(f"{robot.where}: xacro_args: {key} is {quoted(value)}, must be a text, a number, true or false")
         arguments[str(key)] = str(value).lower() if isinstance(value, bool) else str(value)
     file = resolve_mesh(name, path) if name.startswith(PACKAGE_SCHEME) else path.parent / name
     if file is None:
@@ -117,7 +192,7 @@ def _description(robot: Settings, path: Path) -> Path:
     return plain_description(file, arguments)
 
 
-def _size(model: UrdfModel, robot: Settings, joints: Mapping[str, float]) -> tuple[float, float]:
+def _size(model: UrdfModel, robot: Settings, joints: Mapping[str, float], points: MeshPoints | None) -> tuple[float, float]:
     """Returns (radius about the base's z axis, height above the floor) of the collision shapes, or what the file gives.
 
     ``joints``: where they are at load, radians or metres.
@@ -125,17 +200,17 @@ def _size(model: UrdfModel, robot: Settings, joints: Mapping[str, float]) -> tup
     given = robot.numbers(("radius", "height"))
     radius, height, meshes = 0.0, 0.0, 0
     transforms = model.transforms(joints)
-    for link in model.links:
+    for link in model.links if len(given) < 2 else ():
         for collision in link.collisions:
-            if collision.shape.kind == "mesh":
+            found = reach(collision.shape, transforms[link.name] @ matrix_from_pose(collision.pose), points)
+            if found is None:
                 meshes += 1
-                continue
-            reach, top = _extent(collision.shape, transforms[link.name] @ matrix_from_pose(collision.pose))
-            radius, height = max(radius, reach), max(height, top)
+            else:
+                radius, height = max(radius, found[0]), max(height, found[1])
     if len(given) < 2:
         if radius == 0.0:
             raise RobotError(
-                f"{robot.where}: give radius and height (metres): {model.path.name} has no boxes, spheres or cylinders to collide"
+                f"{robot.where}: give radius and height (metres): {model.path.name} has no collision shapes to measure"
             )
         if meshes:
             logger.warning("%s: radius and height leave out %d collision meshes; give them in the file", robot.where, meshes)
@@ -143,22 +218,3 @@ def _size(model: UrdfModel, robot: Settings, joints: Mapping[str, float]) -> tup
     if min(radius, height) <= 0:
         raise RobotError(f"{robot.where}: radius is {radius:g} m and height {height:g} m, both must be above 0")
     return radius, height
-
-
-def _extent(shape: Shape, T_root_shape: Mat4) -> tuple[float, float]:
-    """Returns (farthest distance from the z axis, highest z) of a primitive, metres; exact but for tilted cylinders' radius."""
-    center, rotation = T_root_shape[:3, 3], T_root_shape[:3, :3]
-    if shape.kind == "sphere":
-        return float(np.hypot(center[0], center[1])) + shape.size[0], float(center[2]) + shape.size[0]
-    points: NDArray[np.float64]
-    if shape.kind == "box":
-        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        points = signs * np.array(shape.size) / 2
-    else:
-        angles = np.linspace(0.0, 2 * np.pi, 73)[:-1]
-        # A cylinder that stands off the axis is farthest in the direction of its own centre.
-        angles = np.append(angles, math.atan2(*(rotation.T @ center)[1::-1]))
-        ring = shape.size[0] * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=-1)
-        points = np.concatenate([ring + np.array([0.0, 0.0, h * shape.size[1] / 2]) for h in (-1, 1)])
-    world = points @ rotation.T + center
-    return float(np.hypot(world[:, 0], world[:, 1]).max()), float(world[:, 2].max())

@@ -12,9 +12,20 @@ import numpy as np
 
 from gibson_sim.errors import ConfigError, RobotError
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, Mat4, matrix_from_pose, pose_from_matrix, pose_from_xyz_rpy
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.settings import NAME, Settings, read_yaml
 from gibson_sim.robots.urdf import UrdfModel
-from gibson_sim.types import DEFAULT_OUTPUTS, DISTORTIONS, OUTPUTS, CameraSpec, DepthNoise, ImageEffects, Pose, Projection
+from gibson_sim.types import (
+    DEFAULT_OUTPUTS,
+    DISTORTIONS,
+    OUTPUTS,
+    WORLD_FRAME,
+    CameraSpec,
+    DepthNoise,
+    ImageEffects,
+    Pose,
+    Projection,
+)
 
 _OPTICS_KEYS = ("projection", "k", "fov_y_deg", "fov_deg", "distortion_model", "d")
 _CAMERA_KEYS = (
@@ -23,8 +34,6 @@ _CAMERA_KEYS = (
 )  # fmt: skip
 _MATRIX_KEYS = ("fx", "fy", "cx", "cy", "skew")
 _POSE_KEYS = ("xyz", "rpy_deg")
-WORLD = "map"
-"""Stands for no link: fixed to the world."""
 
 
 def read_cameras(robot: Settings, model: UrdfModel, name: str) -> tuple[CameraSpec, ...]:
@@ -52,13 +61,13 @@ def load_cameras(path: Path, links: Collection[str]) -> tuple[CameraSpec, ...]:
     entries = [entry for entry in camera_entries(path) if "view" not in entry.values]
 
     def find(link: str) -> str:
-        if link in (*links, WORLD):
-            return "" if link == WORLD else link
+        if link in (*links, WORLD_FRAME):
+            return "" if link == WORLD_FRAME else link
         ends = [known for known in links if known.endswith(f"/{link}")]
         if len(ends) == 1:
             return ends[0]
         what = f"stands for {' and '.join(ends)}" if ends else "is not in the scene"
-        raise RobotError(f"{path}: link {link!r} {what}; there are: {WORLD}, {', '.join(links)}")
+        raise RobotError(f"{path}: link {quoted(link)} {what}; there are: {WORLD_FRAME}, {', '.join(links)}")
 
     try:
         return _cameras(entries, str(path), find)
@@ -77,7 +86,7 @@ def camera_entries(path: Path) -> list[Settings]:
         document.check_keys(("cameras",))
     entries = document.values.get("cameras") or []
     if not isinstance(entries, list) or not entries:
-        raise RobotError(f"{path}: cameras is {entries!r}, must be a list with at least one camera, as in a robot.yaml")
+        raise RobotError(f"{path}: cameras is {quoted(entries)}, must be a list with at least one camera, as in a robot.yaml")
     return _entries(entries, str(path))
 
 
@@ -103,7 +112,7 @@ def read_camera(settings: Settings, find_link: Callable[[str], str]) -> CameraSp
     settings.check_keys(_CAMERA_KEYS)
     camera_name = settings.text("name")
     if not NAME.fullmatch(camera_name):
-        raise RobotError(f"{settings.where}: name is {camera_name!r}; use letters, digits and _, a letter first")
+        raise RobotError(f"{settings.where}: name is {quoted(camera_name)}; use letters, digits and _, a letter first")
     link = find_link(settings.text("link"))
     values: dict[str, Any] = {
         **settings.integers(("width", "height", "samples")),
@@ -115,7 +124,7 @@ def read_camera(settings: Settings, find_link: Callable[[str], str]) -> CameraSp
             values[key] = _plain(section, kind)
     outputs = settings.values.get("outputs", list(DEFAULT_OUTPUTS))
     if not isinstance(outputs, list) or not all(isinstance(item, str) for item in outputs):
-        raise RobotError(f"{settings.where}: outputs is {outputs!r}, must be a list of {', '.join(OUTPUTS)}")
+        raise RobotError(f"{settings.where}: outputs is {quoted(outputs)}, must be a list of {', '.join(OUTPUTS)}")
     pose = _camera_pose(settings, link)
     return CameraSpec(name=camera_name, link=link, pose=pose, outputs=tuple(outputs), **values)
 
@@ -124,7 +133,7 @@ def _optics(settings: Settings) -> dict[str, Any]:
     """Returns the fields of ``CameraSpec`` that say where a direction is in the image."""
     projection = cast(Projection, settings.text("projection", "pinhole"))
     if projection not in DISTORTIONS:
-        raise RobotError(f"{settings.where}: projection is {projection!r}, must be one of {', '.join(DISTORTIONS)}")
+        raise RobotError(f"{settings.where}: projection is {quoted(projection)}, must be one of {', '.join(DISTORTIONS)}")
     out: dict[str, Any] = {"projection": projection}
     # Angles of another kind of camera would be ignored: say so instead.
     for key, field, owner in (("fov_y_deg", "fov_y", "pinhole"), ("fov_deg", "fov", "fisheye")):
@@ -143,7 +152,9 @@ def _optics(settings: Settings) -> dict[str, Any]:
         d, model, models = settings.floats("d"), settings.text("distortion_model"), DISTORTIONS[projection]
         if model not in models:
             known = " or ".join(models) or "none at all"
-            raise RobotError(f"{settings.where}: distortion_model is {model!r}, that of a {projection} camera must be {known}")
+            raise RobotError(
+                f"{settings.where}: distortion_model is {quoted(model)}, that of a {projection} camera must be {known}"
+            )
         if len(d) not in models[model]:
             counts = " or ".join(map(str, models[model]))
             raise RobotError(f"{settings.where}: d has {len(d)} numbers, {model} has {counts}")
@@ -180,7 +191,7 @@ def _camera_pose(settings: Settings, link: str) -> Pose:
     if "_optical" in link.rpartition("/")[2]:
         if place is not None:
             raise RobotError(
-                f"{settings.where}: link {link!r} is optical and takes no pose; name the link it is fixed to instead"
+                f"{settings.where}: link {quoted(link)} is optical and takes no pose; name the link it is fixed to instead"
             )
         return Pose()
     T_link_camera: Mat4 = np.eye(4)

@@ -10,6 +10,7 @@ import numpy as np
 
 from gibson_sim.errors import RobotError
 from gibson_sim.geometry.transforms import Mat4
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.drive_spec import AckermannSpec, DifferentialSpec, DriveSpec, OmniSpec, OmniWheel
 from gibson_sim.robots.settings import Settings
 from gibson_sim.robots.urdf import UrdfJoint, UrdfModel
@@ -27,7 +28,7 @@ def read_drive(robot: Settings, model: UrdfModel) -> DriveSpec | None:
         return None
     kind = settings.text("type")
     if kind not in _READERS:
-        raise RobotError(f"{settings.where}: type is {kind!r}, must be one of {', '.join(_READERS)}")
+        raise RobotError(f"{settings.where}: type is {quoted(kind)}, must be one of {', '.join(_READERS)}")
     return _READERS[kind](_Parts(settings, model))
 
 
@@ -52,7 +53,7 @@ class _Parts:
         across = float(self.axis(joint)[1])
         if joint.kind != "continuous" or abs(across) < _STRAIGHT:
             raise RobotError(
-                f"{self.model.path}: joint {name!r} cannot drive: it must be continuous, with its axis along y of {self.model.root}"
+                f"{self.model.path}: joint {quoted(name)} cannot drive: it must be continuous, with its axis along y of {self.model.root}"
             )
         return joint, 1.0 if across > 0 else -1.0
 
@@ -62,7 +63,7 @@ class _Parts:
         up = float(self.axis(joint)[2])
         if joint.kind not in ("revolute", "continuous") or abs(up) < _STRAIGHT:
             raise RobotError(
-                f"{self.model.path}: joint {name!r} cannot steer: it must be revolute, with its axis along z of {self.model.root}"
+                f"{self.model.path}: joint {quoted(name)} cannot steer: it must be revolute, with its axis along z of {self.model.root}"
             )
         return joint, 1.0 if up > 0 else -1.0
 
@@ -70,7 +71,9 @@ class _Parts:
         """Returns how far ``left`` is to the left (+y) of ``right``, metres."""
         distance = float(self.frame(left)[1, 3] - self.frame(right)[1, 3])
         if distance <= 0:
-            raise RobotError(f"{self.where}: {left.name!r} is not to the left (+y) of {right.name!r}; were they swapped?")
+            raise RobotError(
+                f"{self.where}: {quoted(left.name)} is not to the left (+y) of {quoted(right.name)}; were they swapped?"
+            )
         return distance
 
     def radius(self, wheels: Sequence[UrdfJoint]) -> float:
@@ -88,7 +91,7 @@ class _Parts:
         """Returns a list of joint names."""
         value = self.settings.values.get(key)
         if not isinstance(value, list) or not value or not all(isinstance(item, str) and item for item in value):
-            raise RobotError(f"{self.where}: {key} is {value!r}, must be a list of joint names")
+            raise RobotError(f"{self.where}: {key} is {quoted(value)}, must be a list of joint names")
         return tuple(value)
 
 
@@ -127,7 +130,7 @@ def _omni(parts: _Parts) -> OmniSpec:
     parts.settings.check_keys(("type", "wheels", "wheel_radius", *limits))
     items = parts.settings.values.get("wheels")
     if not isinstance(items, list) or not items:
-        raise RobotError(f"{parts.where}: wheels is {items!r}, must be a list of {{joint: .., roller_deg: ..}}")
+        raise RobotError(f"{parts.where}: wheels is {quoted(items)}, must be a list of {{joint: .., roller_deg: ..}}")
     wheels = [_omni_wheel(parts, Settings(item, f"{parts.where}: wheels[{i}]")) for i, item in enumerate(items)]
     joints = [parts.model.joint(wheel.joint) for wheel in wheels]
     given = parts.settings.numbers(limits)
@@ -143,7 +146,7 @@ def _omni_wheel(parts: _Parts, item: Settings) -> OmniWheel:
     axis, hub = parts.axis(joint), parts.frame(joint)[:3, 3]
     if joint.kind != "continuous" or math.hypot(axis[0], axis[1]) < _STRAIGHT:
         raise RobotError(
-            f"{parts.model.path}: joint {joint.name!r} cannot drive: it must be continuous, with a level axis in {parts.model.root}"
+            f"{parts.model.path}: joint {quoted(joint.name)} cannot drive: it must be continuous, with a level axis in {parts.model.root}"
         )
     # A wheel that turns positively about its axis rolls along axis x up.
     heading = math.atan2(-axis[0], axis[1])
@@ -162,7 +165,9 @@ def _ackermann(parts: _Parts) -> AckermannSpec:
         float(parts.frame(a[0])[0, 3] + parts.frame(b[0])[0, 3]) / 2 for a, b in ((left, right), (left_pin, right_pin))
     )
     if front <= rear:
-        raise RobotError(f"{parts.where}: {left_pin[0].name!r} is not in front (+x) of {left[0].name!r}; were they swapped?")
+        raise RobotError(
+            f"{parts.where}: {quoted(left_pin[0].name)} is not in front (+x) of {quoted(left[0].name)}; were they swapped?"
+        )
     given = parts.settings.numbers((*measured_keys, *numbers, *_LIMITS))
     given.setdefault("wheelbase", front - rear)
     given.setdefault("wheel_separation", parts.apart(left[0], right[0]))
@@ -203,5 +208,5 @@ def _wheel_radius(model: UrdfModel, link_name: str) -> float:
         if radii:
             return max(radii)
     raise RobotError(
-        f"{model.path}: link {link_name!r} has no sphere or cylinder to read the wheel's radius from; give drive.wheel_radius"
+        f"{model.path}: link {quoted(link_name)} has no sphere or cylinder to read the wheel's radius from; give drive.wheel_radius"
     )

@@ -7,6 +7,7 @@ from itertools import pairwise
 from typing import Any
 
 from gibson_sim.errors import RobotError
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.drive_spec import DriveSpec
 from gibson_sim.robots.drives import make_drive
 from gibson_sim.robots.manipulator_spec import GripperSpec, ManipulatorSpec, NamedPose
@@ -22,7 +23,9 @@ def read_manipulators(robot: Settings, model: UrdfModel, drive: DriveSpec | None
     """Returns the arms, in the order of the file."""
     items = robot.values.get("manipulators") or []
     if not isinstance(items, list):
-        raise RobotError(f"{robot.where}: manipulators is {items!r}, must be a list of {{name: .., joints: [..], tip_link: ..}}")
+        raise RobotError(
+            f"{robot.where}: manipulators is {quoted(items)}, must be a list of {{name: .., joints: [..], tip_link: ..}}"
+        )
     joints = _Joints(model, drive)
     found = [_manipulator(Settings(item, f"{robot.where}: manipulators[{i}]"), model, joints) for i, item in enumerate(items)]
     _check_distinct([one.name for one in found], f"{robot.where}: manipulators", "are named")
@@ -40,14 +43,14 @@ def read_poses(
     poses = []
     for name, values in {} if section is None else section.values.items():
         if not isinstance(name, str) or not NAME.fullmatch(name):
-            raise RobotError(f"{robot.where}: named_poses: name {name!r} must be letters, digits and _, a letter first")
+            raise RobotError(f"{robot.where}: named_poses: name {quoted(name)} must be letters, digits and _, a letter first")
         poses.append(NamedPose(name, _positions(Settings(values, f"{robot.where}: named_poses: {name}"), joints)))
     at_home: dict[str, float] = {}
     if "home" in robot.values:
         home = robot.text("home")
         named = {pose.name: pose for pose in poses}
         if home not in named:
-            raise RobotError(f"{robot.where}: home is {home!r}, must be one of named_poses: {', '.join(named) or 'none'}")
+            raise RobotError(f"{robot.where}: home is {quoted(home)}, must be one of named_poses: {', '.join(named) or 'none'}")
         at_home = dict(named[home].joints)
     at_rest = {joint.name: _at_rest(joint) for joint in joints.known.values()}
     positions = model.with_followers({**{name: at for name, at in at_rest.items() if at}, **at_home})
@@ -68,17 +71,19 @@ class _Joints:
     def get(self, name: Any, where: str) -> UrdfJoint:
         """Returns the joint of this name."""
         if not isinstance(name, str) or not name:
-            raise RobotError(f"{where}: {name!r} is no name of a joint")
+            raise RobotError(f"{where}: {quoted(name)} is no name of a joint")
         reason = self._why_not(self.model.joint(name))
         if reason is not None:
-            raise RobotError(f"{where}: joint {name!r} {reason}; joints that obey commands: {', '.join(self.known) or 'none'}")
+            raise RobotError(
+                f"{where}: joint {quoted(name)} {reason}; joints that obey commands: {', '.join(self.known) or 'none'}"
+            )
         return self.known[name]
 
     def _why_not(self, joint: UrdfJoint) -> str | None:
         if joint.name in self.driven:
             return "belongs to the drive"
         if joint.mimic is not None:
-            return f"mimics {joint.mimic.leader!r}"
+            return f"mimics {quoted(joint.mimic.leader)}"
         return None if joint.has_motor else f"is {joint.kind} and has no motor"
 
 
@@ -86,18 +91,20 @@ def _manipulator(item: Settings, model: UrdfModel, joints: _Joints) -> Manipulat
     item.check_keys(("name", "joints", "tip_link", "gripper"))
     name = item.text("name")
     if not NAME.fullmatch(name):
-        raise RobotError(f"{item.where}: name {name!r} is not usable in ROS; use letters, digits and _, a letter first")
+        raise RobotError(f"{item.where}: name {quoted(name)} is not usable in ROS; use letters, digits and _, a letter first")
     names = _names(item, "joints")
     chain = [joints.get(joint, f"{item.where}: joints") for joint in names]
     tip = item.text("tip_link")
     above = _joints_above(model, model.link(tip).name)
     for before, joint in pairwise(names):
         if joint in above and before in above and above.index(before) > above.index(joint):
-            raise RobotError(f"{item.where}: joints: {before!r} is moved by {joint!r}; name them from the base to the tool")
+            raise RobotError(
+                f"{item.where}: joints: {quoted(before)} is moved by {quoted(joint)}; name them from the base to the tool"
+            )
     for joint in names:
         if joint not in above:
             raise RobotError(
-                f"{item.where}: tip_link {tip!r} is not moved by joint {joint!r}; these do: {', '.join(above) or 'none'}"
+                f"{item.where}: tip_link {quoted(tip)} is not moved by joint {quoted(joint)}; these do: {', '.join(above) or 'none'}"
             )
     section = item.section("gripper")
     gripper = None if section is None else _gripper(section, joints)
@@ -117,7 +124,7 @@ def _gripper(section: Settings, joints: _Joints) -> GripperSpec:
             _check_position(joint, value, f"{section.where}: {key}")
         if joint.effort and effort > joint.effort:
             raise RobotError(
-                f"{section.where}: max_effort is {effort:g}, joint {joint.name!r} has at most {joint.effort:g} (its URDF's effort)"
+                f"{section.where}: max_effort is {effort:g}, joint {quoted(joint.name)} has at most {joint.effort:g} (its URDF's effort)"
             )
     if opened == closed:
         raise RobotError(f"{section.where}: open and closed are both {opened:g}; they must differ")
@@ -138,13 +145,13 @@ def _positions(values: Settings, joints: _Joints) -> tuple[tuple[str, float], ..
 
 def _check_position(joint: UrdfJoint, value: float, where: str) -> None:
     if joint.is_bounded and not joint.lower - _ROUNDING <= value <= joint.upper + _ROUNDING:
-        raise RobotError(f"{where} is {value:g}, joint {joint.name!r} goes from {joint.lower:g} to {joint.upper:g}")
+        raise RobotError(f"{where} is {value:g}, joint {quoted(joint.name)} goes from {joint.lower:g} to {joint.upper:g}")
 
 
 def _names(item: Settings, key: str) -> tuple[str, ...]:
     value = item.values.get(key)
     if not isinstance(value, list) or not value or not all(isinstance(name, str) and name for name in value):
-        raise RobotError(f"{item.where}: {key} is {value!r}, must be a list of joint names")
+        raise RobotError(f"{item.where}: {key} is {quoted(value)}, must be a list of joint names")
     _check_distinct(value, f"{item.where}: {key}", "are")
     return tuple(value)
 
@@ -152,7 +159,7 @@ def _names(item: Settings, key: str) -> tuple[str, ...]:
 def _check_distinct(names: list[str], where: str, verb: str) -> None:
     for name in names:
         if names.count(name) > 1:
-            raise RobotError(f"{where}: two {verb} {name!r}; each must be there once")
+            raise RobotError(f"{where}: two {verb} {quoted(name)}; each must be there once")
 
 
 def _joints_above(model: UrdfModel, link: str) -> list[str]:

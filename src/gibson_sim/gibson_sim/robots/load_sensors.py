@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from gibson_sim.errors import RobotError
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.rigid import rigid_groups
 from gibson_sim.robots.sensor_specs import (
     TURN,
@@ -23,7 +24,9 @@ from gibson_sim.robots.urdf import UrdfModel
 SENSOR_KEYS = ("lidar", "lidar_3d", "imu", "bumper", "battery", "wheel_odometry")
 """Keys of a ``robot.yaml`` that are read here."""
 
-_RANGING = ("range_min", "range_max", "rate_hz", "range_noise", "resolution", "dropout")
+_RANGING = (
+    "range_min", "range_max", "rate_hz", "range_noise", "range_noise_ratio", "range_scale", "resolution", "dropout",
+)  # fmt: skip
 _IMU = ("rate_hz", "gyro_noise", "accel_noise", "gyro_bias", "accel_bias", "gyro_bias_walk", "accel_bias_walk")
 _BATTERY = (
     "capacity_ah", "voltage_full", "voltage_empty", "idle_w", "efficiency", "torque_w", "start", "warn_below", "rate_hz",
@@ -75,7 +78,7 @@ def _imu(settings: Settings, model: UrdfModel, name: str) -> ImuSpec:
     values = _values(settings, _IMU, ("seed",), texts=("name", "link"), other=("orientation",))
     orientation = settings.values.get("orientation", True)
     if not isinstance(orientation, bool):
-        raise RobotError(f"{settings.where}: orientation is {orientation!r}, must be true or false")
+        raise RobotError(f"{settings.where}: orientation is {quoted(orientation)}, must be true or false")
     return ImuSpec(link=_link(settings, model, name), orientation=orientation, **values)
 
 
@@ -83,7 +86,7 @@ def _bumper(settings: Settings, model: UrdfModel, name: str) -> BumperSpec:
     values = _values(settings, ("threshold", "rate_hz"), (), ("max_slope_deg",), ("name", "link"), ("links",))
     links = settings.values.get("links", [])
     if not isinstance(links, list) or not all(isinstance(link, str) for link in links):
-        raise RobotError(f"{settings.where}: links is {links!r}, must be a list of names of links")
+        raise RobotError(f"{settings.where}: links is {quoted(links)}, must be a list of names of links")
     # A contact tells the rigid body, not which of the links in it was met.
     first = {member: group.name for group in rigid_groups(model)[0] for member in group.members}
     feeling = tuple(dict.fromkeys(first[model.link(link).name] for link in links))

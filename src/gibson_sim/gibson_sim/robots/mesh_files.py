@@ -8,8 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote
 
+from gibson_sim.reading import is_file
+
 PACKAGE_SCHEME = "package://"
 _FILE_SCHEME = "file://"
+_WORKSPACE_SOURCES = "src"
 _LEVELS_UP = 3
 
 
@@ -24,23 +27,36 @@ def resolve_mesh(name: str, urdf: Path) -> Path | None:
     if not name.startswith(PACKAGE_SCHEME):
         above = [folder for folder in urdf.parents[1 : _LEVELS_UP + 1] if folder != folder.parent]
         paths = (Path(os.path.normpath(folder / name)) for folder in (urdf.parent, *above))
-        return next((path for path in paths if path.is_file()), None)
+        return next((path for path in paths if is_file(path)), None)
     package, _, rest = name[len(PACKAGE_SCHEME) :].partition("/")
-    return next((folder / rest for folder in package_folders(package, urdf) if (folder / rest).is_file()), None)
+    return next((folder / rest for folder in package_folders(package, urdf) if is_file(folder / rest)), None)
 
 
 def package_folders(package: str, beside: Path) -> Iterator[Path]:
     """Yields folders that may be those of a package, the likeliest first; they need not exist.
 
-    Beside the file that names it and in the folders above it; in ``$AMENT_PREFIX_PATH``; an installed Python package of that name.
+    Beside the file that names it and in the folders above it; in the repositories of a colcon workspace (``src/<repository>/<package>``)
+    that the file lies in; in ``$AMENT_PREFIX_PATH``; an installed Python package of that name.
     """
     for folder in beside.parents:
         if folder.name == package:
             yield folder
         yield folder / package
+        if folder.name == _WORKSPACE_SOURCES:
+            yield from (repository / package for repository in _entries(folder))
     for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
         if prefix:
             yield Path(prefix) / "share" / package
     if package.isidentifier():
-        found = importlib.util.find_spec(package)  # of a name without dots: nothing is imported
+        try:
+            found = importlib.util.find_spec(package)  # of a name without dots: nothing is imported
+        except ValueError:  # __main__
+            found = None
         yield from map(Path, (found.submodule_search_locations or ()) if found is not None else ())
+
+
+def _entries(folder: Path) -> list[Path]:
+    try:
+        return sorted(folder.iterdir())
+    except OSError:
+        return []

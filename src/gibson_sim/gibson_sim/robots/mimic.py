@@ -6,6 +6,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from gibson_sim.errors import RobotError
+from gibson_sim.quoting import quoted
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,7 @@ def leaders(mimics: Mapping[str, Mimic], moving: Collection[str], where: str) ->
         while True:
             if mimic.leader not in moving:
                 raise RobotError(
-                    f"{where}: joint {passed[-1]!r} mimics {mimic.leader!r}, which is no joint that moves; "
+                    f"{where}: joint {quoted(passed[-1])} mimics {quoted(mimic.leader)}, which is no joint that moves; "
                     f"these do: {', '.join(moving) or 'none'}"
                 )
             if mimic.leader in passed:

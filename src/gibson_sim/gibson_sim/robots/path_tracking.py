@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gibson_sim.errors import CommandError, ConfigError
 from gibson_sim.geometry.transforms import wrap_angle
+from gibson_sim.quoting import quoted
 
 F64 = NDArray[np.float64]
 
@@ -48,7 +49,7 @@ class PathFollower:
     def __init__(self, path: ArrayLike, max_linear: float = 0.4, max_angular: float = 1.2, lookahead: float = 0.25) -> None:
         for name, value in (("max_linear", max_linear), ("max_angular", max_angular), ("lookahead", lookahead)):
             if not (math.isfinite(value) and value > 0):
-                raise ConfigError(f"path follower: {name} is {value!r}, must be a finite number above 0")
+                raise ConfigError(f"path follower: {name} is {quoted(value)}, must be a finite number above 0")
         self._max_linear, self._max_angular, self._lookahead = max_linear, max_angular, lookahead
         self._points = _distinct(path)
         steps = np.linalg.norm(np.diff(self._points, axis=0), axis=1)
@@ -214,7 +215,10 @@ def scripted_drive(name: str, *, linear: float = 0.4, angular: float = 1.2, leng
     try:
         text = Path(name).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as e:
-        raise ConfigError(f"drive {name!r} is neither forward, square nor spin, nor a text file that can be read ({e})") from e
+        why = e.strerror if isinstance(e, OSError) else "it is no text"
+        raise ConfigError(
+            f"drive {quoted(name)} is neither forward, square nor spin, nor a text file that can be read ({why})"
+        ) from e
     return parse_script(text, name)
 
 
@@ -229,7 +233,7 @@ def parse_script(text: str, source: str = "script") -> ScriptedDrive:
             linear, angular, seconds = (float(word) for word in words)
         except ValueError as e:
             raise ConfigError(
-                f"{source}, line {number}: {line.strip()!r} must be three numbers, `linear angular seconds` (m/s, rad/s, s)"
+                f"{source}, line {number}: {quoted(line.strip())} must be three numbers, `linear angular seconds` (m/s, rad/s, s)"
             ) from e
         steps.append((linear, angular, seconds))
     return ScriptedDrive(tuple(steps))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import RobotError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.spec import Shape
 from gibson_sim.robots.urdf import UrdfJoint, UrdfLink, UrdfModel
 
@@ -87,7 +88,7 @@ def rigid_groups(model: UrdfModel, *, fixed_root: bool = False) -> tuple[tuple[R
                 T_group_link = np.eye(4)
             else:
                 raise RobotError(
-                    f"{model.path}: joint {joint.name!r} is {joint.kind}, which is not simulated; use one of {MOVING_TYPES}"
+                    f"{model.path}: joint {quoted(joint.name)} is {joint.kind}, which is not simulated; use one of {MOVING_TYPES}"
                 )
         groups[group.name] = group
         home[link.name] = group.name
@@ -198,13 +199,15 @@ def _check_mass(model: UrdfModel, group: RigidGroup) -> list[str]:
     if group.mass <= 0:
         group.mass = _DEFAULT_ROOT_KG if group.joint is None else _DEFAULT_LINK_KG
         group.inertia = np.zeros((3, 3))
-        warnings.append(f"{model.path.name}: link {group.name!r} has no mass; {group.mass:g} kg is used")
+        warnings.append(f"{model.path.name}: link {quoted(group.name)} has no mass; {group.mass:g} kg is used")
     low, mid, high = np.linalg.eigvalsh(group.inertia)
     # A real body obeys the triangle inequality; hand-written files often miss it a little, and engines bear that.
     if low <= 0 or high > 1.5 * (low + mid):
         group.inertia = np.eye(3) * group.mass * _DEFAULT_GYRATION**2
         if not warnings:
-            warnings.append(f"{model.path.name}: link {group.name!r} has an impossible inertia; that of a small ball is used")
+            warnings.append(
+                f"{model.path.name}: link {quoted(group.name)} has an impossible inertia; that of a small ball is used"
+            )
     return warnings
 
 

@@ -10,6 +10,7 @@ import re
 from dataclasses import dataclass, field
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
 from gibson_sim.types import check_seed
 
 TOPIC = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
@@ -36,12 +37,16 @@ class LidarSpec:
     fov: float = TURN
     """Radians from the first ray to the last, in (0, 2 pi]; in a full turn the last ray is one step before the first."""
     range_noise: float = 0.0
-    """Standard deviation of a range, metres."""
+    """Standard deviation of a range, metres, at any distance."""
     resolution: float = 0.0
     """Ranges are multiples of this, metres; 0 = exact."""
     dropout: float = 0.0
     """Part of the rays that do not return, at random, 0 to 1."""
     seed: int = 0
+    range_noise_ratio: float = 0.0
+    """Standard deviation of a range as a part of it, on top of ``range_noise``; 0.01 = 1 % of the distance."""
+    range_scale: float = 0.0
+    """Standard deviation of a factor, near 1, by which this one device measures all distances wrong: drawn once for each seed."""
 
     def __post_init__(self) -> None:
         what = _name(self.name, self.link)
@@ -87,12 +92,16 @@ class Lidar3DSpec:
     """Metres; farther returns give no point."""
     rate_hz: float = 10.0
     range_noise: float = 0.0
-    """Standard deviation of a range, metres."""
+    """Standard deviation of a range, metres, at any distance."""
     resolution: float = 0.0
     """Ranges are multiples of this, metres; 0 = exact."""
     dropout: float = 0.0
     """Part of the rays that do not return, at random, 0 to 1."""
     seed: int = 0
+    range_noise_ratio: float = 0.0
+    """Standard deviation of a range as a part of it, on top of ``range_noise``; 0.01 = 1 % of the distance."""
+    range_scale: float = 0.0
+    """Standard deviation of a factor, near 1, by which this one device measures all distances wrong: drawn once for each seed."""
 
     def __post_init__(self) -> None:
         what = _name(self.name, self.link)
@@ -269,7 +278,7 @@ class SensorSpecs:
 
 def _name(name: str, link: str) -> str:
     """Returns what a complaint begins with."""
-    what = f"sensor {name!r} on {link!r}" if link else f"sensor {name!r}"
+    what = f"sensor {quoted(name)} on {quoted(link)}" if link else f"sensor {quoted(name)}"
     if not TOPIC.fullmatch(name):
         raise ConfigError(f"{what}: the name is a topic; use letters, digits, _ and /, a letter first")
     return what
@@ -284,6 +293,11 @@ def _ranging(what: str, spec: LidarSpec | Lidar3DSpec) -> None:
     check_seed(what, spec.seed)
     for key in ("range_noise", "resolution"):
         _not_negative(what, key, getattr(spec, key))
+    for key in ("range_noise_ratio", "range_scale"):
+        if not 0.0 <= getattr(spec, key) <= 0.2:
+            raise ConfigError(
+                f"{what}: {key} is {getattr(spec, key):g}, must be 0 to 0.2: a part of the distance, not a percentage"
+            )
     _part(what, "dropout", spec.dropout)
 
 

@@ -9,9 +9,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from gibson_sim.errors import RobotError
+from gibson_sim.errors import RobotError, TextError
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import read_yaml_file
 from gibson_sim.types import Vec3
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -21,9 +21,9 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 def read_yaml(path: Path) -> Any:
     """Returns what a YAML file holds; RobotError, one line, where it cannot be read."""
     try:
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise RobotError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+        return read_yaml_file(path)
+    except TextError as error:
+        raise RobotError(f"{path}: {error}").telling(error.public) from error
     except OSError as error:
         raise RobotError(f"{path}: cannot be read: {error.strerror}") from error
 
@@ -41,8 +41,8 @@ class Settings:
         for key in self.values:
             if key not in known:
                 near = difflib.get_close_matches(str(key), known, n=1, cutoff=0.5)
-                hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known)}"
-                raise RobotError(f"{self.where}: key {key!r} is unknown; {hint}")
+                hint = f"did you mean {quoted(near[0])}?" if near else f"known: {', '.join(known)}"
+                raise RobotError(f"{self.where}: key {quoted(key)} is unknown; {hint}")
 
     def section(self, key: str) -> Settings | None:
         """Returns the mapping under ``key``; None = not given."""
@@ -53,7 +53,9 @@ class Settings:
         value = self.values.get(key, default)
         if not isinstance(value, str) or not value:
             raise RobotError(
-                f"{self.where}: {key} is {value!r}, must be a text" if key in self.values else f"{self.where}: {key} is missing"
+                f"{self.where}: {key} is {quoted(value)}, must be a text"
+                if key in self.values
+                else f"{self.where}: {key} is missing"
             )
         return value
 
@@ -61,7 +63,9 @@ class Settings:
         """Returns a finite number."""
         value = self.values[key]
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-            raise RobotError(f"{self.where}: {key} is {value!r}, must be a finite number")
+            raise RobotError(f"{self.where}: {key} is {quoted(value)}, must be a finite number").telling(
+                f"{key} must be a finite number"
+            )
         return float(value)
 
     def numbers(self, keys: tuple[str, ...]) -> dict[str, float]:
@@ -75,7 +79,9 @@ class Settings:
             if key in self.values:
                 value = self.number(key)
                 if value != int(value):
-                    raise RobotError(f"{self.where}: {key} is {value:g}, must be a whole number")
+                    raise RobotError(f"{self.where}: {key} is {value:g}, must be a whole number").telling(
+                        f"{key} must be a whole number"
+                    )
                 out[key] = int(value)
         return out
 
@@ -83,13 +89,17 @@ class Settings:
         """Returns a list of finite numbers, as many as there are."""
         value = self.values[key]
         if not isinstance(value, list):
-            raise RobotError(f"{self.where}: {key} is {value!r}, must be a list of numbers")
+            raise RobotError(f"{self.where}: {key} is {quoted(value)}, must be a list of numbers").telling(
+                f"{key} must be a list of numbers"
+            )
         return tuple(Settings({key: item}, self.where).number(key) for item in value)
 
     def vector(self, key: str) -> Vec3:
         """Returns three finite numbers; zeros where the key is not given."""
         value = self.values.get(key, [0.0, 0.0, 0.0])
         if not isinstance(value, list) or len(value) != 3:
-            raise RobotError(f"{self.where}: {key} is {value!r}, must be three numbers")
+            raise RobotError(f"{self.where}: {key} is {quoted(value)}, must be three numbers").telling(
+                f"{key} must be three numbers"
+            )
         x, y, z = (Settings({key: item}, self.where).number(key) for item in value)
         return (x, y, z)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from gibson_sim.errors import ConfigError, RobotError
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.drive_spec import DriveSpec
 from gibson_sim.robots.manipulator_spec import ManipulatorSpec, NamedPose
 from gibson_sim.robots.sensor_specs import SensorSpecs
@@ -47,12 +48,12 @@ class Pattern:
 
     def __post_init__(self) -> None:
         if self.kind not in PATTERN_KINDS:
-            raise ConfigError(f"pattern is {self.kind!r}, must be one of {', '.join(PATTERN_KINDS)}")
+            raise ConfigError(f"pattern is {quoted(self.kind)}, must be one of {', '.join(PATTERN_KINDS)}")
         if not (math.isfinite(self.size) and self.size > 0.0):
-            raise ConfigError(f"size of a pattern is {self.size!r} m, must be a finite number above 0")
+            raise ConfigError(f"size of a pattern is {quoted(self.size)} m, must be a finite number above 0")
         if (self.kind == "image") != bool(self.image):
             raise ConfigError(
-                f"a pattern of kind {self.kind!r} has image {self.image!r}; kind image needs a file, others have none"
+                f"a pattern of kind {quoted(self.kind)} has image {quoted(self.image)}; kind image needs a file, others have none"
             )
 
 
@@ -142,7 +143,7 @@ class RobotSpec:
             if pose.name == name:
                 return pose
         raise RobotError(
-            f"robot {self.name!r} has no pose {name!r}; known: {', '.join(p.name for p in self.named_poses) or 'none'}"
+            f"robot {quoted(self.name)} has no pose {quoted(name)}; known: {', '.join(p.name for p in self.named_poses) or 'none'}"
         )
 
     def manipulator(self, name: str = "") -> ManipulatorSpec:
@@ -151,4 +152,4 @@ class RobotSpec:
             if name in ("", arm.name):
                 return arm
         known = ", ".join(arm.name for arm in self.manipulators) or "none"
-        raise RobotError(f"robot {self.name!r} has no manipulator {name!r}; known: {known}")
+        raise RobotError(f"robot {quoted(self.name)} has no manipulator {quoted(name)}; known: {known}")

@@ -12,7 +12,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from gibson_sim.errors import RobotError
+from gibson_sim.errors import RobotError, TextError
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import parse_xml, read_file
 from gibson_sim.robots.mesh_files import resolve_mesh
 from gibson_sim.robots.mimic import Mimic, leaders
 from gibson_sim.robots.omissions import Omission, OmissionKind
@@ -26,6 +28,8 @@ __all__ = [
     "JOINT_TYPES", "FindMesh", "Inertial", "UrdfCollision", "UrdfJoint", "UrdfLink", "UrdfModel", "UrdfVisual", "parse_urdf", "read_urdf",
 ]  # fmt: skip
 
+_MOST_FRICTION = 1.5
+"""Of what a file tells Gazebo: wheels there often have 100 or more."""
 FindMesh = Callable[[str, Path], Path | None]
 """Takes what a URDF names and the URDF's path to the absolute path of a file, or None when there is none."""
 
@@ -42,7 +46,7 @@ def read_urdf(path: Path | str, find: FindMesh | None = None) -> UrdfModel:
     """
     path = Path(path)
     try:
-        text = path.read_bytes()
+        text = read_file(path)
     except FileNotFoundError as error:
         raise RobotError(f"no URDF at {path}") from error
     except OSError as error:
@@ -63,10 +67,9 @@ def parse_urdf(text: str | bytes, source: Path, find: FindMesh | None = None) ->
     """
     xacro = f"{source.absolute()}: is a xacro, not a URDF; expand it first: xacro {source.name} > robot.urdf"
     try:
-        top = ET.fromstring(with_defaults(text.encode("utf-8", errors="replace") if isinstance(text, str) else text))
-    # A text that says it is UTF-16 is no such thing.
-    except (ET.ParseError, ValueError, LookupError) as error:
-        raise RobotError(xacro if is_xacro(text) else f"{source}: is not XML: {error}") from error
+        top = parse_xml(with_defaults(text.encode("utf-8", errors="replace") if isinstance(text, str) else text))
+    except TextError as error:
+        raise RobotError(xacro if is_xacro(text) else f"{source}: {error}").telling(error.public) from error
     if is_xacro(text, top):
         raise RobotError(xacro)
     return _Reader(source, find or resolve_mesh).model(top)
@@ -81,6 +84,8 @@ class _Reader(XmlValues):
         self.warnings: list[str] = []
         self.colors: dict[str, Rgba | None] = {}
         """None = a texture alone."""
+        self.frictions: dict[str, float] = {}
+        """Link -> Coulomb friction that the file tells Gazebo."""
 
     def model(self, top: ET.Element) -> UrdfModel:
         if top.tag != "robot":
@@ -89,6 +94,7 @@ class _Reader(XmlValues):
             color = material.find("color")
             if color is not None or material.find("texture") is not None:
                 self.colors.setdefault(material.get("name", ""), None if color is None else self.rgba(color))
+        self.frictions = self.gazebo_frictions(top)
         links = [self.link(element) for element in top.findall("link")]
         joints = [self.joint(element) for element in top.findall("joint")]
         ordered = self.tree(links, joints)
@@ -105,11 +111,11 @@ class _Reader(XmlValues):
         for joint in joints:
             for end in (joint.parent, joint.child):
                 if end not in by_name:
-                    raise RobotError(f"{self.path}: joint {joint.name!r} names link {end!r}, which is not there")
+                    raise RobotError(f"{self.path}: joint {quoted(joint.name)} names link {quoted(end)}, which is not there")
             if joint.child in parents:
                 other = parents[joint.child].name
                 raise RobotError(
-                    f"{self.path}: link {joint.child!r} has two parents, through joints {other!r} and {joint.name!r}"
+                    f"{self.path}: link {quoted(joint.child)} has two parents, through joints {quoted(other)} and {quoted(joint.name)}"
                 )
             parents[joint.child] = joint
             children[joint.parent].append(joint.child)
@@ -128,7 +134,7 @@ class _Reader(XmlValues):
             stack.extend(reversed(children[name]))
         if len(order) != len(by_name):
             lost = [name for name in by_name if name not in set(order)]
-            raise RobotError(f"{self.path}: links {', '.join(lost)} form a cycle that the root {roots[0]!r} does not reach")
+            raise RobotError(f"{self.path}: links {', '.join(lost)} form a cycle that the root {quoted(roots[0])} does not reach")
         return tuple(by_name[name] for name in order)
 
     def led(self, joints: list[UrdfJoint]) -> list[UrdfJoint]:
@@ -141,12 +147,12 @@ class _Reader(XmlValues):
         seen: set[str] = set()
         for name in names:
             if name in seen:
-                raise RobotError(f"{self.path}: two {what}s are named {name!r}; names must differ")
+                raise RobotError(f"{self.path}: two {what}s are named {quoted(name)}; names must differ")
             seen.add(name)
 
     def link(self, element: ET.Element) -> UrdfLink:
         name = self.text(element, "name")
-        where = f"link {name!r}"
+        where = f"link {quoted(name)}"
         visuals = []
         for item in element.findall("visual"):
             shape = self.shape(item, f"{where}: visual")
@@ -160,10 +166,26 @@ class _Reader(XmlValues):
         friction = element.find("contact/lateral_friction")
         return UrdfLink(
             name, tuple(visuals), tuple(collisions), self.inertial(element.find("inertial"), where),
-            None if friction is None else self.numbers(friction, "value", 1, where)[0],
+            self.frictions.get(name) if friction is None else self.numbers(friction, "value", 1, where)[0],
             self.contact(element, "rolling_friction", where), self.contact(element, "spinning_friction", where),
             self.contact(element, "stiffness", where), self.contact(element, "damping", where),
         )  # fmt: skip
+
+    def gazebo_frictions(self, top: ET.Element) -> dict[str, float]:
+        """Returns link -> friction, from ``<gazebo reference="link"><mu1>0.1</mu1></gazebo>``; the smaller one of both directions."""
+        found: dict[str, float] = {}
+        names = [element.get("name", "") for element in top.findall("link")]
+        for element in top.findall("gazebo"):
+            try:
+                values = [float(item.text or "") for key in ("mu1", "mu2") for item in element.iter(key)]
+            except ValueError:
+                continue
+            if values and all(math.isfinite(value) and value >= 0.0 for value in values):
+                reference = element.get("reference", "")
+                # Descriptions with a prefix often forget it here.
+                meant = [name for name in names if name == reference] or [n for n in names if n.endswith(f"/{reference}")]
+                found.update({name: min(*values, _MOST_FRICTION) for name in meant if len(meant) == 1})
+        return found
 
     def contact(self, element: ET.Element, key: str, where: str) -> float:
         found = element.find(f"contact/{key}")
@@ -174,10 +196,10 @@ class _Reader(XmlValues):
 
     def joint(self, element: ET.Element) -> UrdfJoint:
         name = self.text(element, "name")
-        where = f"joint {name!r}"
+        where = f"joint {quoted(name)}"
         kind = element.get("type", "")
         if kind not in JOINT_TYPES:
-            raise RobotError(f"{self.path}: {where} has type {kind!r}, must be one of {', '.join(JOINT_TYPES)}")
+            raise RobotError(f"{self.path}: {where} has type {quoted(kind)}, must be one of {', '.join(JOINT_TYPES)}")
         ends = []
         for tag in ("parent", "child"):
             end = element.find(tag)
@@ -270,7 +292,7 @@ class _Reader(XmlValues):
             return self.rgba(own)
         name = material.get("name", "")
         if name not in self.colors and material.find("texture") is None:
-            self.warnings.append(f"{self.path.name}: {where}: material {name!r} is not defined; drawn without a colour")
+            self.warnings.append(f"{self.path.name}: {where}: material {quoted(name)} is not defined; drawn without a colour")
         return self.colors.get(name)
 
     def rgba(self, element: ET.Element) -> Rgba:

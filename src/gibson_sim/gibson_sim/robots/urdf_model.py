@@ -11,6 +11,7 @@ import numpy as np
 
 from gibson_sim.errors import RobotError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.mimic import Mimic
 from gibson_sim.robots.spec import Shape
 from gibson_sim.types import Pose, Rgba, Vec3
@@ -155,14 +156,23 @@ class UrdfModel:
         for link in self.links:
             if link.name == name:
                 return link
-        raise RobotError(f"{self.path}: no link {name!r}; known: {', '.join(link.name for link in self.links)}")
+        raise RobotError(f"{self.path}: no link {quoted(name)}; known: {', '.join(link.name for link in self.links)}")
 
     def joint(self, name: str) -> UrdfJoint:
         """Returns the joint of this name, or raises RobotError that lists the known ones."""
         for joint in self.joints:
             if joint.name == name:
                 return joint
-        raise RobotError(f"{self.path}: no joint {name!r}; known: {', '.join(joint.name for joint in self.joints)}")
+        raise RobotError(f"{self.path}: no joint {quoted(name)}; known: {', '.join(joint.name for joint in self.joints)}")
+
+    def fixed_to_root(self) -> tuple[str, ...]:
+        """Returns the root and the links that only fixed joints join to it, in the order of ``links``."""
+        found = {self.root}
+        fixed = {joint.child: joint.parent for joint in self.joints if joint.kind == "fixed"}
+        for link in self.links[1:]:
+            if fixed.get(link.name) in found:
+                found.add(link.name)
+        return tuple(link.name for link in self.links if link.name in found)
 
     def transforms(self, positions: Mapping[str, float] | None = None) -> dict[str, Mat4]:
         """Returns T_root_link, (4, 4), of every link with joints at ``positions``; those that are not named are at 0."""

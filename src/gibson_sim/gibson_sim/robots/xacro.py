@@ -1,6 +1,6 @@
 """Turns descriptions that are not yet plain URDF into it: xacro files, and ``$(optenv NAME default)``.
 
-The xacro package does its work in a process of its own: it finds ROS packages by environment variables, which are this process's alone.
+The xacro package does its work in a process of its own (``xacro_process``), which may be stopped, and in which alone it finds packages as we do.
 """
 
 from __future__ import annotations
@@ -16,16 +16,18 @@ from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
-from gibson_sim.errors import RobotError
+from gibson_sim.errors import RobotError, TextError
+from gibson_sim.reading import is_file, parse_xml, read_file
 from gibson_sim.resources import cache_folder
-from gibson_sim.robots.mesh_files import package_folders, resolve_mesh
+from gibson_sim.robots.mesh_files import resolve_mesh
 
 _XACRO = b"<xacro:"
 _NO_ELEMENTS = re.compile(rb"<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>", re.DOTALL)
 _OPTIONAL = re.compile(rb"\$\(optenv\s+\w+\s*([^)]*)\)")
-_FIND = re.compile(r"\$\(find\s+([A-Za-z0-9_\-]+)\s*\)")
-_UNKNOWN_PACKAGE = re.compile(r"package '([^']+)' not found")
+_ARGUMENT = re.compile(rb"""<xacro:arg\s+[^>]*?name\s*=\s*["'](\w+)["']""")
 _TIMEOUT_S = 120.0
+_ERRORS = ("error: ", "XML parsing error: ")
+"""How xacro begins the line of an error."""
 
 
 def is_xacro(text: str | bytes, top: ET.Element | None = None) -> bool:
@@ -62,7 +64,7 @@ def plain_description(path: Path, arguments: Mapping[str, str]) -> Path:
         RobotError: the file cannot be read, the xacro package is not installed, or it refuses the file; one line.
     """
     try:
-        data = path.read_bytes()
+        data = read_file(path)
     except FileNotFoundError as error:
         raise RobotError(f"no URDF at {path}") from error
     except OSError as error:
@@ -72,21 +74,20 @@ def plain_description(path: Path, arguments: Mapping[str, str]) -> Path:
         raise RobotError(f"{path}: xacro_args are given, but this is no xacro")
     if not xacro and not _OPTIONAL.search(data):
         return path
-    expanded = _with_absolute_meshes(_expanded(path, arguments) if xacro else with_defaults(data), path)
-    return _kept(expanded, path)
+    return keep_description(_expanded(path, arguments) if xacro else with_defaults(data), path)
 
 
 def published_description(path: Path) -> str:
     """Returns a URDF as other programs can read it: meshes with relative names, which only its own folder explains, have absolute ones."""
-    data = path.read_bytes()
+    data = read_file(path)
     relative = re.search(rb"""filename\s*=\s*["'](?!\w+://|/)""", data)
     return (_with_absolute_meshes(data, path, relative_only=True) if relative else data).decode("utf-8")
 
 
 def _is_xacro_file(data: bytes) -> bool:
     try:
-        return is_xacro(data, ET.fromstring(data))
-    except (ET.ParseError, ValueError, LookupError):
+        return is_xacro(data, parse_xml(data))
+    except TextError:
         return is_xacro(data)
 
 
@@ -98,58 +99,48 @@ def _expanded(path: Path, arguments: Mapping[str, str]) -> bytes:
             f"xacro {path.name} > robot.urdf"
         )
     words = [str(path.absolute()), *(f"{key}:={value}" for key, value in arguments.items())]
-    with tempfile.TemporaryDirectory(prefix="gibson_sim_xacro_") as folder:
-        wanted = sorted(set(_FIND.findall(path.read_text(encoding="utf-8", errors="replace"))))
-        offered: set[str] = set()
-        while True:
-            for package in wanted:
-                _offer(package, path.absolute(), Path(folder))
-            offered.update(wanted)
-            done = _run(words, Path(folder), path)
-            if not done.returncode:
-                return done.stdout
-            said = done.stderr.decode(errors="replace")
-            # Files that it includes name more packages.
-            wanted = [name for name in _UNKNOWN_PACKAGE.findall(said) if name not in offered]
-            if not wanted:
-                raise RobotError(f"{path}: xacro refuses it: {_reason(said)}")
-
-
-def _run(words: list[str], prefix: Path, path: Path) -> subprocess.CompletedProcess[bytes]:
-    given = os.environ.get("AMENT_PREFIX_PATH", "")
-    environment = {**os.environ, "AMENT_PREFIX_PATH": f"{prefix}{os.pathsep}{given}" if given else str(prefix)}
-    command = [sys.executable, "-c", "import xacro; xacro.main()", *words]
+    # Away from the current folder, whose files could stand for modules.
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(os.path.abspath(entry) for entry in sys.path if entry)}
+    command = [sys.executable, "-m", "gibson_sim.robots.xacro_process", *words]
     try:
-        return subprocess.run(command, env=environment, capture_output=True, timeout=_TIMEOUT_S, check=False)
+        done = subprocess.run(command, env=environment, cwd=os.sep, capture_output=True, timeout=_TIMEOUT_S, check=False)
     except subprocess.TimeoutExpired as error:
         raise RobotError(f"{path}: xacro was not done after {_TIMEOUT_S:g} s; do its macros call each other?") from error
+    if done.returncode:
+        reason = _reason(done.stderr.decode(errors="replace"))
+        raise RobotError(f"{path}: xacro refuses it: {reason}{_takes(path, arguments, reason)}")
+    return done.stdout
 
 
-def _offer(package: str, beside: Path, prefix: Path) -> None:
-    """Lets ``$(find <package>)`` find a package where ``package://`` does."""
-    folder = next((folder for folder in package_folders(package, beside) if folder.is_dir()), None)
-    if folder is None:
-        return
-    index = prefix / "share" / "ament_index" / "resource_index" / "packages"
-    index.mkdir(parents=True, exist_ok=True)
-    (index / package).touch()
-    (prefix / "share" / package).symlink_to(folder.absolute())
+def _takes(path: Path, arguments: Mapping[str, str], reason: str) -> str:
+    """Returns what to say of arguments that a xacro has and that it was not given; nothing where a package is lacking."""
+    try:
+        declared = [match.decode(errors="replace") for match in _ARGUMENT.findall(read_file(path))]
+    except OSError:
+        return ""
+    lacking = [name for name in dict.fromkeys(declared) if name not in arguments]
+    if not lacking or "package " in reason:
+        return ""
+    names = ", ".join(lacking[:8])
+    how = "gibson-sim scene robot FILE --xacro-arg NAME:=VALUE --write robot.yaml"
+    return f"; it takes the arguments {names}: give them as xacro_args in a robot.yaml: {how}"
 
 
 def _reason(said: str) -> str:
-    """Returns the line that says what is wrong: the first one, of a traceback the last one."""
+    """Returns the line that says what is wrong: the error, which warnings may precede; of a traceback the last line."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     if not lines:
         return "it gives no reason"
-    return lines[-1] if lines[0].startswith("Traceback") else lines[0].removeprefix("error: ")
+    error = next((line for line in lines if line.startswith(_ERRORS)), None)
+    return (error or lines[-1 if lines[0].startswith("Traceback") else 0]).removeprefix("error: ")
 
 
 def _with_absolute_meshes(data: bytes, path: Path, *, relative_only: bool = False) -> bytes:
     """Returns a URDF whose meshes and textures have absolute names: it will be read elsewhere. Those that are missing keep theirs."""
     try:
-        top = ET.fromstring(data)
-    except (ET.ParseError, ValueError, LookupError) as error:
-        raise RobotError(f"{path}: is not XML: {error}") from error
+        top = parse_xml(data)
+    except TextError as error:
+        raise RobotError(f"{path}: {error}").telling(error.public) from error
     for element in (*top.iter("mesh"), *top.iter("texture")):
         name = element.get("filename", "")
         if not name or (relative_only and ("://" in name or name.startswith("/"))):
@@ -161,17 +152,24 @@ def _with_absolute_meshes(data: bytes, path: Path, *, relative_only: bool = Fals
     return text
 
 
-def _kept(data: bytes, path: Path) -> Path:
-    """Returns a file of the cache with this content; equal ones share it."""
+def keep_description(data: bytes, path: Path) -> Path:
+    """Returns a file of the cache with a URDF that was made from the one at ``path``, its meshes with absolute names; equal ones share it.
+
+    Raises:
+        RobotError: it is no XML, or cannot be written.
+    """
+    data = _with_absolute_meshes(data, path)
     name = path.name.split(".")[0] or "robot"
     file = cache_folder("robots") / hashlib.sha256(data).hexdigest()[:24] / f"{name}.urdf"
-    if file.is_file() and file.read_bytes() == data:
+    if is_file(file) and file.read_bytes() == data:
         return file
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
-        half = file.with_name(f"{file.name}.{os.getpid()}")
-        half.write_bytes(data)
-        half.replace(file)
+        # In a folder of its own: other threads and processes may write the same robot.
+        with tempfile.TemporaryDirectory(dir=file.parent, prefix=".half_") as folder:
+            half = Path(folder) / file.name
+            half.write_bytes(data)
+            half.replace(file)
     except OSError as error:
         raise RobotError(f"{file}: cannot be written: {error.strerror}; set XDG_CACHE_HOME to a folder that can") from error
     return file

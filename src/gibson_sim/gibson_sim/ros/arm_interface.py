@@ -18,6 +18,7 @@ from trajectory_msgs.msg import JointTrajectory
 from gibson_msgs.msg import CollisionCount, GraspState
 from gibson_sim.errors import CommandError, PhysicsError
 from gibson_sim.physics.world import PhysicsWorld
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.manipulator_spec import ManipulatorSpec
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.ros import conversions, names, qos
@@ -268,4 +269,6 @@ class ArmInterface:
 def _check_joints(wanted: Sequence[str], known: tuple[str, ...]) -> None:
     for name in wanted:
         if name not in known:
-            raise CommandError(f"joint {name!r} is none of this controller's: {', '.join(known)}; use the topic of another one")
+            raise CommandError(
+                f"joint {quoted(name)} is none of this controller's: {', '.join(known)}; use the topic of another one"
+            )

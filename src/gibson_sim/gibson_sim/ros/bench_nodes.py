@@ -28,8 +28,7 @@ from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.fast_images import image_to_bytes
 from gibson_sim.ros.fast_publish import FastClock, FastSceneState
 from gibson_sim.ros.node_main import end_with_parent, keep_large_blocks
-from gibson_sim.scenes.spec import WORLD_FRAME
-from gibson_sim.types import NS_PER_S, SceneState
+from gibson_sim.types import NS_PER_S, WORLD_FRAME, SceneState
 
 PING, PONG, IMAGES = "gibson_sim_bench/ping", "gibson_sim_bench/pong", "gibson_sim_bench/images"
 END = "end"

@@ -24,8 +24,7 @@ from gibson_sim.ros.bench_waiting import settle, wait_until, waiter_of
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.fast_images import image_to_bytes
 from gibson_sim.ros.fast_publish import FastSceneState
-from gibson_sim.scenes.spec import WORLD_FRAME
-from gibson_sim.types import NS_PER_S, SceneState
+from gibson_sim.types import NS_PER_S, WORLD_FRAME, SceneState
 
 STATE, PICTURE = "gibson_sim_bench/state", "gibson_sim_bench/picture"
 WARM_UP = 20

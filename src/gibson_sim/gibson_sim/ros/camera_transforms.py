@@ -13,8 +13,7 @@ from gibson_sim.bags.reader import BagReader
 from gibson_sim.ros import conversions, names
 from gibson_sim.ros.exact_bytes import exact_bytes
 from gibson_sim.ros.fast_publish import FastTf
-from gibson_sim.scenes.spec import WORLD_FRAME
-from gibson_sim.types import CameraSpec, Pose
+from gibson_sim.types import WORLD_FRAME, CameraSpec, Pose
 
 TF_TYPE = "tf2_msgs/msg/TFMessage"
 _A_FEW = 100

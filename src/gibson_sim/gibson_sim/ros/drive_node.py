@@ -7,31 +7,35 @@ import os
 import select
 import sys
 import termios
+import time
 import tty
 from typing import Any
 
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from gibson_sim.client_config import DriveConfig
 from gibson_sim.errors import ConfigError
-from gibson_sim.robots.load import load_robot
+from gibson_sim.robots import load
 from gibson_sim.robots.path_tracking import PathFollower, ScriptedDrive, scripted_drive
 from gibson_sim.ros import conversions, names, qos
+from gibson_sim.ros.awaited import Awaited
 from gibson_sim.ros.lockstep_client import LockstepParticipant
-from gibson_sim.ros.node_main import run_node, spin_while
+from gibson_sim.ros.matching import wait_until_received
+from gibson_sim.ros.node_main import run_node, spin_while, started_by_launcher
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.placement import robot_floor_map
+from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.scenes.tour import plan_tour
 
 KEYS = {"w": (1, 0), "x": (-1, 0), "a": (0, 1), "d": (0, -1), "q": (1, 1), "e": (1, -1), "s": (0, 0), " ": (0, 0)}
 """Key -> direction of (linear, angular)."""
 KEY_HELP = "w forward, x backward, a/d turn left/right, q/e forward and turn, s or space stop, Ctrl-C end"
-NO_ODOMETRY_S = 30.0
 TOUR_LENGTH, FORWARD_LENGTH = 30.0, 2.0
+_LIMIT_S, _LAUNCHED_LIMIT_S = 10.0, 60.0
+"""Wall time that it may take until the commands are received, s: beside a simulation that runs, and where a recorder is starting."""
 
 
 class DriveNode(Node):
@@ -58,7 +62,8 @@ class DriveNode(Node):
                 raise ConfigError("drive 'keyboard' needs a terminal on standard input; from a script use --drive with a file")
             self._drive = _KeyboardDrive(config)
         elif config.drive == "tour":
-            logging.getLogger(load_scene.__module__).setLevel(logging.ERROR)  # the physics node said it all
+            for module in (load_scene.__module__, load.__name__):
+                logging.getLogger(module).setLevel(logging.ERROR)  # the physics node said it all
             robot = load_robot(config.robot)
             self._map, self._radius = robot_floor_map(load_scene(config.scene), robot), robot.radius
         else:
@@ -66,11 +71,28 @@ class DriveNode(Node):
             self._drive = _ScriptDrive(scripted_drive(config.drive, linear=config.linear, angular=config.angular, length=length))
         self._message_type = TwistStamped if config.stamped else Twist
         self._publisher = self.create_publisher(self._message_type, names.CMD_VEL, qos.COMMAND)
+        self._simulation = Awaited.simulation(self, names.GROUND_TRUTH, config.timeout)
+        self._done, self._begun, self._sent = False, False, 0
+        self._begin_at: float | None = None
+        self._lockstep: LockstepParticipant | None = None
+
+    def _look(self) -> None:
+        """Begins once the simulation is there and whoever must receive the commands does: a simulation of ours waits for that."""
+        if self._begun or not self._simulation.look():
+            return
+        if self._begin_at is None:
+            self._begin_at = time.monotonic() + (_LAUNCHED_LIMIT_S if started_by_launcher() else _LIMIT_S)
+        received, wanted = self._publisher.get_subscription_count(), self._config.subscribers
+        if received < wanted:
+            if time.monotonic() < self._begin_at:
+                return
+            kind = self._message_type.__name__
+            self.get_logger().warning(
+                f"{received} of {wanted} subscribers receive {self._publisher.topic_name} as {kind}; drives on"
+            )
+        self._begun = True
         self.create_subscription(Odometry, names.GROUND_TRUTH, self._on_odometry, qos.STATE)
-        self.create_timer(NO_ODOMETRY_S, self._complain_if_alone, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._done = False
-        self._lockstep = None
-        if config.drive != "keyboard":  # a person does not answer every tick
+        if self._config.drive != "keyboard":  # a person does not answer every tick
             self._lockstep = LockstepParticipant(self, after=names.GROUND_TRUTH)
 
     def _on_odometry(self, msg: Odometry) -> None:
@@ -100,17 +122,18 @@ class DriveNode(Node):
             msg.header.stamp, twist = stamp, msg.twist
         twist.linear.x, twist.angular.z = float(linear), float(angular)
         self._publisher.publish(msg)
-
-    def _complain_if_alone(self) -> None:
-        if not self.count_publishers(names.GROUND_TRUTH):
-            self.get_logger().warning(
-                f"nobody publishes {names.GROUND_TRUTH}: does a simulation run in domain {os.environ.get('ROS_DOMAIN_ID', '0')}?"
-            )
+        self._sent += 1
 
     def spin(self) -> int:
         """Drives until the drive is done or the context ends; returns the exit code."""
-        spin_while(self, lambda: not self._done)
+        spin_while(self, self._drives_on)
+        wait_until_received(self._publisher)
+        self.get_logger().info(f"{'done' if self._done else 'asked to end'} after {self._sent} commands")
         return 0
+
+    def _drives_on(self) -> bool:
+        self._look()
+        return not self._done
 
     def close(self) -> None:
         """Gives the terminal back."""

@@ -20,6 +20,8 @@ _ENCAPSULATION = b"\x00\x01\x00\x00"
 """CDR, little-endian, no options. Positions in a message are counted from behind it."""
 _STAMP = struct.Struct("<iI")
 _NO_COVARIANCE = (0.0,) * 36
+_COVARIANCE = struct.Struct("<36d")
+_ISOTROPIC = struct.Struct("<9d")
 
 
 def restamped(data: bytes, stamp_ns: int) -> bytes:
@@ -131,29 +133,21 @@ class FastTf:
 
 
 class FastOdometry:
-    """nav_msgs/Odometry with fixed frames and covariances.
+    """nav_msgs/Odometry with fixed frames.
 
     Args:
         parent: Frame of the pose.
         child: Frame of the twist.
-        pose_covariance: 36 numbers by rows; left out = zeros.
-        twist_covariance: The same.
     """
 
-    def __init__(
-        self,
-        parent: str,
-        child: str,
-        pose_covariance: Sequence[float] = _NO_COVARIANCE,
-        twist_covariance: Sequence[float] = _NO_COVARIANCE,
-    ) -> None:
+    def __init__(self, parent: str, child: str) -> None:
         layout = _Layout()
         layout.header(parent)
         layout.string(child)
         layout.places("7d")
-        layout.doubles(pose_covariance)
+        layout.block(36)
         layout.places("6d")
-        layout.doubles(twist_covariance)
+        layout.block(36)
         self._pack, self._constants = layout.finish()
 
     def serialize(
@@ -163,11 +157,24 @@ class FastOdometry:
         quat_xyzw: Sequence[float],
         linear: Sequence[float],
         angular: Sequence[float],
+        pose_covariance: Sequence[float] = _NO_COVARIANCE,
+        twist_covariance: Sequence[float] = _NO_COVARIANCE,
     ) -> bytes:
-        """Returns the message: T_parent_child (m), and the velocity in the child's frame (m/s, rad/s). Tuples are quickest."""
-        start, frames, between, end = self._constants
-        stamp = divmod(stamp_ns, NS_PER_S)
-        return self._pack(start, *stamp, frames, *position, *quat_xyzw, between, *linear, *angular, end)
+        """Returns the message. Tuples are quickest.
+
+        Args:
+            stamp_ns: When.
+            position: Of T_parent_child, metres.
+            quat_xyzw: Of T_parent_child.
+            linear: Velocity in the child's frame, m/s.
+            angular: rad/s.
+            pose_covariance: 36 numbers by rows; left out = zeros.
+            twist_covariance: The same.
+        """
+        start, frames, *nothing = self._constants
+        pose_part = *position, *quat_xyzw, nothing[0], _COVARIANCE.pack(*pose_covariance)
+        twist_part = *linear, *angular, nothing[2], _COVARIANCE.pack(*twist_covariance)
+        return self._pack(start, *divmod(stamp_ns, NS_PER_S), frames, *pose_part, nothing[1], *twist_part, nothing[3])
 
 
 class FastJointStates:
@@ -208,34 +215,48 @@ class FastJointStates:
 
 
 class FastImu:
-    """sensor_msgs/Imu with fixed frame and covariances.
+    """sensor_msgs/Imu with fixed frame and covariance of the orientation.
 
     Args:
         frame_id: Frame of the sensor.
         orientation_covariance: Nine numbers by rows; the first is -1 where there is no orientation (REP 145).
-        angular_covariance: The same of the angular velocity.
-        linear_covariance: The same of the linear acceleration.
     """
 
-    def __init__(
-        self,
-        frame_id: str,
-        orientation_covariance: Sequence[float] = _NO_COVARIANCE[:9],
-        angular_covariance: Sequence[float] = _NO_COVARIANCE[:9],
-        linear_covariance: Sequence[float] = _NO_COVARIANCE[:9],
-    ) -> None:
+    def __init__(self, frame_id: str, orientation_covariance: Sequence[float] = _NO_COVARIANCE[:9]) -> None:
         layout = _Layout()
         layout.header(frame_id)
-        for count, covariance in ((4, orientation_covariance), (3, angular_covariance), (3, linear_covariance)):
-            layout.places(f"{count}d")
-            layout.doubles(covariance)
+        layout.places("4d")
+        layout.doubles(orientation_covariance)
+        for _ in range(2):
+            layout.places("3d")
+            layout.block(9)
         self._pack, self._constants = layout.finish()
 
-    def serialize(self, stamp_ns: int, quat_xyzw: Sequence[float], angular: Sequence[float], linear: Sequence[float]) -> bytes:
-        """Returns the message: orientation, angular velocity (rad/s) and specific force (m/s^2) of the sensor's frame."""
-        start, frame, after_quat, after_angular, end = self._constants
+    def serialize(
+        self,
+        stamp_ns: int,
+        quat_xyzw: Sequence[float],
+        angular: Sequence[float],
+        linear: Sequence[float],
+        angular_variance: float = 0.0,
+        linear_variance: float = 0.0,
+    ) -> bytes:
+        """Returns the message.
+
+        Args:
+            stamp_ns: When.
+            quat_xyzw: Orientation of the sensor.
+            angular: Angular velocity in its frame, rad/s.
+            linear: Specific force in its frame, m/s^2.
+            angular_variance: Of each component, (rad/s)^2.
+            linear_variance: Of each component, (m/s^2)^2.
+        """
+        start, frame, after_quat, *nothing = self._constants
+        a, b, no = angular_variance, linear_variance, 0.0
+        angular_part = *angular, nothing[0], _ISOTROPIC.pack(a, no, no, no, a, no, no, no, a)
+        linear_part = *linear, nothing[2], _ISOTROPIC.pack(b, no, no, no, b, no, no, no, b)
         stamp = divmod(stamp_ns, NS_PER_S)
-        return self._pack(start, *stamp, frame, *quat_xyzw, after_quat, *angular, after_angular, *linear, end)
+        return self._pack(start, *stamp, frame, *quat_xyzw, after_quat, *angular_part, nothing[1], *linear_part, nothing[3])
 
 
 class FastSceneState:

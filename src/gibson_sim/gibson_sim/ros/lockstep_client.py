@@ -7,19 +7,14 @@ from collections.abc import Sequence
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 
 from gibson_msgs.msg import TickDone
 from gibson_sim.ros import names, qos
 from gibson_sim.ros.fast_publish import FastTickDone
+from gibson_sim.ros.matching import reaches_all
 
 MATCHING_S, SETTLED_S = 10.0, 1.0
 """Within so long those who listen to a new publisher are known and can hear it; nobody has come for so long."""
-
-
-def reaches_all(node: Node, publisher: Publisher) -> bool:
-    """Returns whether all who are known to listen to a publisher of a node get what it publishes from now on."""
-    return bool(publisher.get_subscription_count() >= node.count_subscribers(publisher.topic_name))
 
 
 def wait_for_readers(node: Node) -> None:

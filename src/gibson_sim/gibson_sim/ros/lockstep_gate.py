@@ -13,8 +13,9 @@ from gibson_msgs.msg import TickDone
 from gibson_sim.bags.stamps import stamp_ns
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import LockstepError
+from gibson_sim.quoting import quoted
 from gibson_sim.ros import conversions, names, qos
-from gibson_sim.ros.lockstep_client import reaches_all
+from gibson_sim.ros.matching import reaches_all
 from gibson_sim.ros.stamped_commands import StampedCommands
 from gibson_sim.simulation.lockstep import CAMERAS, Lockstep, parse_participants
 from gibson_sim.types import NS_PER_S
@@ -75,16 +76,17 @@ class LockstepGate:
         self._known: dict[bytes, Any] = {}
         """Messages by all their bytes but for the stamp: those of a participant differ in nothing else, tick after tick."""
 
-    def listen(self, stamped: StampedCommands) -> None:
-        """Lets participants join; the node must listen to all commands by now.
+    def listen(self, stamped: StampedCommands | None) -> None:
+        """Lets participants join; the node must listen to all commands by now, those under a second type in ``stamped``.
 
         News of a context's subscriptions come in the order in which they were made. So whose JOIN arrives knows of all the others already, and
         none of the commands that it sends from then on is lost; those under a second type once it has arrived in their context, too.
         """
         self._stamped = stamped
-        self._beside = stamped.hear(
-            TickDone, names.TICK_DONE, qos.TICK_DONE, lambda msg: self._joined_beside.add(msg.participant)
-        )
+        if stamped is not None:
+            self._beside = stamped.hear(
+                TickDone, names.TICK_DONE, qos.TICK_DONE, lambda msg: self._joined_beside.add(msg.participant)
+            )
         self._node.create_subscription(TickDone, names.TICK_DONE, self._on_done, qos.TICK_DONE, raw=True)
 
     def publish_tick(self, stamp_ns: int, topics: Callable[[], Collection[str]]) -> None:
@@ -123,13 +125,13 @@ class LockstepGate:
         msg, stamp_ns = self._read(data)
         name = msg.participant
         if msg.event in (TickDone.JOIN, TickDone.WATCH):
-            self._node.get_logger().info(f"lockstep: {name!r} takes part{f', after {msg.after}' if msg.after else ''}")
+            self._node.get_logger().info(f"lockstep: {quoted(name)} takes part{f', after {msg.after}' if msg.after else ''}")
             self._new[name] = now_ns
             (self._watchers.add if msg.event == TickDone.WATCH else self._watchers.discard)(name)
             if core.join(name, msg.after.lstrip("/")):
                 self._came_back.add(name)
         elif msg.event == TickDone.LEAVE:
-            self._node.get_logger().info(f"lockstep: {name!r} leaves")
+            self._node.get_logger().info(f"lockstep: {quoted(name)} leaves")
             core.leave(name, now_ns)
         elif any(p.name == name for p in core.participants):
             sent = [topic.lstrip("/") for topic in msg.sent]
@@ -137,7 +139,7 @@ class LockstepGate:
                 self._came_back.discard(name)
         else:
             self._node.get_logger().warning(
-                f"lockstep: {name!r} has done a tick, but has not joined: nobody waits for it; send a JOIN first",
+                f"lockstep: {quoted(name)} has done a tick, but has not joined: nobody waits for it; send a JOIN first",
                 throttle_duration_sec=5.0,
             )
         if core.is_open and not was_open:
@@ -173,7 +175,7 @@ class LockstepGate:
         there = self._names_there()
         gone = [name for name in self.core.waits_for if name in self._watchers and name not in there]
         for name in gone:
-            self._node.get_logger().warning(f"lockstep: {name!r} has gone without leaving; time goes on without it")
+            self._node.get_logger().warning(f"lockstep: {quoted(name)} has gone without leaving; time goes on without it")
             self.core.leave(name, now_ns)
         return gone
 
@@ -264,9 +266,9 @@ class LockstepGate:
         for name in self.core.waits_for or self._strangers:
             if rules.get(name):
                 gone = not self._node.count_publishers(rules[name])
-                parts.append(f"{name!r} ({'nobody publishes' if gone else 'no message on'} {rules[name]})")
+                parts.append(f"{quoted(name)} ({'nobody publishes' if gone else 'no message on'} {rules[name]})")
             else:
-                parts.append(f"{name!r} ({'it hangs or is slow' if name in there else 'there is no such node'})")
+                parts.append(f"{quoted(name)} ({'it hangs or is slow' if name in there else 'there is no such node'})")
         return ", ".join(parts)
 
     def summary(self) -> dict[str, Any]:

@@ -9,19 +9,20 @@ import logging
 import os
 import signal
 import sys
-import time
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import FrameType
 from typing import Any
 
 import rclpy
-from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from gibson_sim.errors import GibsonSimError
+from gibson_sim.interrupts import Interruptible
 from gibson_sim.ros.executor import make_executor
+from gibson_sim.ros.guarded_parameters import guard_parameters
+from gibson_sim.writing import cannot_write, is_of_the_disk, write_file
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 _PR_SET_PDEATHSIG = 1
@@ -53,28 +54,24 @@ def end_with_parent() -> None:
         sys.exit(1)
 
 
-class _Signals:
+class _Signals(Interruptible):
     """SIGINT and SIGTERM: while a node spins they ask it to end after what it is doing, a second one ends it at once.
 
     rclpy's own handlers would end the context in the middle of a callback that is about to publish.
     """
 
     def __init__(self) -> None:
+        super().__init__(signal.SIGINT, signal.SIGTERM)
         self.spinning = self.asked = False
-        self._before: dict[int, Any] = {}
 
-    def __enter__(self) -> None:
+    def __enter__(self) -> _Signals:
         self.spinning = self.asked = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            self._before[number] = signal.signal(number, self._on_signal)
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
+        super().__enter__()
+        return self
 
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         if self.asked or not self.spinning:
-            raise KeyboardInterrupt
+            super()._on_signal(number, frame)
         self.asked = True
 
 
@@ -97,23 +94,51 @@ def run_node(make: Callable[[], Any], args: list[str] | None = None) -> None:
     end_with_parent()
     keep_large_blocks()
     rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    node, code = None, 0
+    code = 0
     with _signals:
         try:
-            node = make()
-            _signals.spinning = True
-            code = node.spin()
+            code = _make_and_spin(make)
         except KeyboardInterrupt:
             pass
-        except GibsonSimError as error:
-            print(f"error: {error}", file=sys.stderr)
-            code = 1
-        finally:
-            if node is not None:
-                node.close()
-                node.destroy_node()
-            rclpy.try_shutdown()
+        except Exception:
+            if not _signals.was_interrupted:
+                raise
     sys.exit(code)
+
+
+def _make_and_spin(make: Callable[[], Any]) -> int:
+    """Makes a node, lets it work, closes it; returns its exit code."""
+    node = None
+    code = 1
+    try:
+        with _told():
+            node = make()
+            guard_parameters(node)
+            _signals.spinning = True
+            code = int(node.spin())
+    finally:
+        if node is not None:
+            closed = False
+            with _told():
+                node.close()
+                closed = True
+            code = code if closed else code or 1
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return code
+
+
+@contextmanager
+def _told() -> Iterator[None]:
+    """Ends the block, with one line on stderr, at an error that is the user's to mend, such as a full disk."""
+    try:
+        yield
+    except (GibsonSimError, OSError) as error:
+        if isinstance(error, OSError) and not is_of_the_disk(error):
+            raise
+        if not _signals.was_interrupted:
+            told = cannot_write(error.filename, error) if isinstance(error, OSError) else error
+            print(f"error: {told}", file=sys.stderr)
 
 
 def spin_while(node: Node, wanted: Callable[[], bool] = lambda: True) -> None:
@@ -125,19 +150,10 @@ def spin_while(node: Node, wanted: Callable[[], bool] = lambda: True) -> None:
 
 
 def write_summary(path: str, summary: dict[str, Any]) -> None:
-    """Writes the summary as JSON, if there is a path to write it to."""
+    """Writes the summary as JSON, if there is a path to write it to.
+
+    Raises:
+        WriteError: it cannot be written.
+    """
     if path:
-        Path(path).write_text(json.dumps(summary, indent=2) + "\n")
-
-
-def wait_for_subscribers(node: Node, executor: Executor, wanted: Mapping[str, int], limit_s: float = 120.0) -> None:
-    """Works until topics have so many subscribers as ``wanted`` says, or warns after ``limit_s`` seconds and returns."""
-    deadline = time.monotonic() + limit_s
-    while goes_on():
-        missing = {topic: count for topic, count in wanted.items() if node.count_subscribers(topic) < count}
-        if not missing:
-            return
-        if time.monotonic() > deadline:
-            node.get_logger().warning(f"still too few subscribers after {limit_s:.0f} s, starting without: {missing}")
-            return
-        executor.spin_once(timeout_sec=0.05)
+        write_file(path, json.dumps(summary, indent=2) + "\n")

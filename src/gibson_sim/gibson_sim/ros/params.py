@@ -2,38 +2,64 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+import math
+from dataclasses import Field, fields
 from typing import Any, Protocol, TypeVar
 
-from rcl_interfaces.msg import ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+
+from gibson_sim.settings import limits_of
 
 T = TypeVar("T")
 
 
 class HasParameters(Protocol):
-    """The one thing that is needed of a node."""
+    """What is needed of a node."""
 
     def declare_parameter(self, name: str, value: Any, descriptor: ParameterDescriptor) -> Any:
         """Declares a parameter and returns it."""
+
+    def set_descriptor(self, name: str, descriptor: ParameterDescriptor) -> Any:
+        """Describes a declared parameter anew."""
 
 
 def config_from_parameters(node: HasParameters, cls: type[T], *, changeable: tuple[str, ...] = ()) -> T:
     """Declares one parameter per field of ``cls``, read-only but for ``changeable``, and returns ``cls`` filled with the values.
 
-    The type and the limits are checked by the dataclass, so that a wrong value fails with the same words from everywhere.
+    The type and the limits are checked by the dataclass, so that a wrong value fails with the same words from everywhere. The limits are
+    declared afterwards: rclpy would refuse a value in its own words first.
 
     Raises:
         ConfigError: a value has the wrong type or is not allowed.
     """
-    values = {}
-    for f in fields(cls):  # type: ignore[arg-type]
-        limits = f"{f.metadata['minimum']:g} to {f.metadata['maximum']:g} {f.metadata['unit']}".strip()
-        descriptor = ParameterDescriptor(
-            name=f.name,
-            description=f.metadata["doc"],
-            additional_constraints=limits,
-            read_only=f.name not in changeable,
-            dynamic_typing=True,
-        )
-        values[f.name] = node.declare_parameter(f.name, f.default, descriptor).value
-    return cls(**values)
+    settings = fields(cls)  # type: ignore[arg-type]
+    free = {f.name: ParameterDescriptor(dynamic_typing=True) for f in settings}
+    config = cls(**{f.name: node.declare_parameter(f.name, f.default, free[f.name]).value for f in settings})
+    for f in settings:
+        node.set_descriptor(f.name, descriptor_of(f, changeable=f.name in changeable))
+    return config
+
+
+def descriptor_of(f: Field[Any], *, changeable: bool) -> ParameterDescriptor:
+    """Returns what tools may know of a setting: its meaning, its limits in words, and as a range where both limits are finite.
+
+    Args:
+        f: made by ``setting``.
+        changeable: it may be set while the node runs.
+    """
+    words = [f"one of {', '.join(f.metadata['choices'])}" if f.metadata["choices"] else limits_of(f)]
+    words += [] if changeable else ["read when the node starts: restart it to change this"]
+    descriptor = ParameterDescriptor(
+        description=f.metadata["doc"],
+        additional_constraints="; ".join(filter(None, words)),
+        read_only=not changeable,
+        dynamic_typing=True,  # an integer may stand for a number with a point, as in `ros2 param set /physics rate 2`
+    )
+    low, high = f.metadata["minimum"], f.metadata["maximum"]
+    # A range has two ends. One that goes to the end of all numbers would make a slider that no hand can set.
+    if math.isfinite(low) and math.isfinite(high):
+        if type(f.default) is int:
+            descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+        elif type(f.default) is float:
+            descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high), step=0.0)]
+    return descriptor

@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from rclpy.timer import Timer
 
 from gibson_sim.config import PhysicsConfig
-from gibson_sim.errors import AlreadyRunningError, ConfigError
+from gibson_sim.errors import ConfigError
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.resources import find_config
 from gibson_sim.ros import names
@@ -23,7 +23,9 @@ from gibson_sim.ros.digest_publisher import DigestPublisher
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.journal import Journal
 from gibson_sim.ros.lockstep_gate import LockstepGate
-from gibson_sim.ros.node_main import goes_on, run_node, started_by_launcher, wait_for_subscribers, write_summary
+from gibson_sim.ros.matching import wait_for_others, wait_until_received
+from gibson_sim.ros.node_main import goes_on, run_node, write_summary
+from gibson_sim.ros.only_simulation import OnlySimulation
 from gibson_sim.ros.pacing import Pacer
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.ros.physics_stats import PhysicsStats
@@ -32,18 +34,17 @@ from gibson_sim.ros.run_info import publish_run_info
 from gibson_sim.ros.simulation_services import SimulationServices
 from gibson_sim.ros.stamped_commands import StampedCommands
 from gibson_sim.ros.tick_publisher import TickPublisher
+from gibson_sim.ros.unreceived import UnreceivedPublishers
 from gibson_sim.ros.world_interface import WorldInterface
 from gibson_sim.scenes.placement import populate
 from gibson_sim.scenes.randomise_yaml import load_rules
-from gibson_sim.simulation.domain_lock import DomainLock
+from gibson_sim.simulation.job_folder import LOADED, note_in_job
 from gibson_sim.simulation.simulator import Simulator
 from gibson_sim.simulation.states import SimulationState
 from gibson_sim.types import NS_PER_S
 
 _MOST_TICKS_OF_LOCKSTEP = 64
 """Ticks that nobody answers to, made in one turn."""
-DISCOVERY_S, LATE_DISCOVERY_S = 3.0, 10.0
-"""Within so long a new participant has heard of the others: usually, and on a busy machine."""
 
 
 class PhysicsNode(Node):
@@ -70,7 +71,7 @@ class PhysicsNode(Node):
             GibsonSimError: a setting, the scene or a robot cannot be used, or another simulation runs in this domain.
         """
         super().__init__("physics", **kwargs)
-        self._domain_lock: DomainLock | None = None
+        self._alone: OnlySimulation | None = None
         self._simulator: Simulator | None = None
         self._stamped: StampedCommands | None = None
         self._standard: SimulationServices | None = None
@@ -78,11 +79,13 @@ class PhysicsNode(Node):
         self.add_on_set_parameters_callback(self._on_parameters)
         scene = populate(config.scene, config.robot, config.start, sdf_lamps=config.sdf_lamps, robot_tf=config.robot_tf)
         rules = load_rules(find_config(config.randomise, "randomisation")) if config.randomise else None
-        self._look_for_others()
+        self._alone = OnlySimulation(self)
+        self._alone.claim()
         self._simulator = Simulator(scene, config)
         ticks_at_once = _MOST_TICKS_OF_LOCKSTEP if config.lockstep else 1
         self._pacer = Pacer(config.step_hz, config.rate, burst=ticks_at_once * config.step_hz // config.publish_hz)
-        self._stamped = StampedCommands(self)
+        self._stamped = StampedCommands(self) if config.cmd_vel_type == "both" else None
+        self._unreceived = UnreceivedPublishers(self, self._stamped)
         self._journal = Journal(self, self._simulator, self._on_input)
         self._digests = DigestPublisher(self) if config.digests else None
         self._world_topics = WorldInterface(self, config, rules)
@@ -96,10 +99,11 @@ class PhysicsNode(Node):
         self._seen_epoch = -1
         self._timer: Timer | None = None
         self._done = False
-        self._standard = SimulationServices(self, self.simulator, config.service_prefix, self._journal.note)
+        self._standard = SimulationServices(self, self.simulator, config.service_prefix, self._journal.note, config.lockstep)
         self._follow_changes()
         if self._gate is not None:
             self._gate.listen(self._stamped)
+        note_in_job(LOADED, "\n".join(camera.name for camera in self._world_topics.cameras))
         spec = self.simulator.scene
         self._run_info = publish_run_info(self, "physics", config, self._stamp_ns, scene_digest=spec.content_hash)
         places = "; ".join(f"{r.name} at {r.start.position[0]:.2f},{r.start.position[1]:.2f}" for r in spec.robots)
@@ -112,32 +116,6 @@ class PhysicsNode(Node):
         """World and state; it is there from the end of the constructor to ``close``."""
         assert self._simulator is not None, "the node is closed"
         return self._simulator
-
-    def _look_for_others(self) -> None:
-        """Refuses before anything is published: a second scene would replace the first one in its renderers.
-
-        A lock tells of those on this machine, whatever discovery brings; a node that the launcher started need not wait for those on
-        others either, and has the launcher's lock.
-        """
-        deadline = time.monotonic()
-        if not started_by_launcher():
-            self._domain_lock = DomainLock(self.context.get_domain_id())
-            deadline += DISCOVERY_S
-        self._refuse_second_simulation(own=0)
-        while time.monotonic() < deadline:
-            time.sleep(0.05)
-            self._refuse_second_simulation(own=0)
-
-    def _refuse_second_simulation(self, own: int) -> None:
-        """Two sources of /clock make time jump to and fro for everybody: the younger one, with ``own`` publishers, gives way."""
-        if self.count_publishers(names.CLOCK) > own:
-            raise AlreadyRunningError(
-                "another node publishes /clock in this ROS domain: stop that simulation, or choose another ROS_DOMAIN_ID"
-            )
-
-    def _give_way_while_young(self) -> None:
-        if time.monotonic() < self._young_until:
-            self._refuse_second_simulation(own=1)
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         """Takes another pace while the simulation runs."""
@@ -173,7 +151,6 @@ class PhysicsNode(Node):
             self._robots.pop(name).close()
         if world is None:
             return
-        assert self._stamped is not None
         for robot in world.scene.robots:
             if robot.name not in self._robots:
                 self._robots[robot.name] = RobotInterface(self, self._stamped, robot, world, self._config, self._on_input)
@@ -218,9 +195,10 @@ class PhysicsNode(Node):
             self._stamped.wake = partial(executor.create_task, self._on_tick_done)
         self._set_timer()
         self.create_timer(1.0, self._report, clock=steady)
-        self._young_until = time.monotonic() + LATE_DISCOVERY_S
-        self.create_timer(0.2, self._give_way_while_young, clock=steady)
+        assert self._alone is not None, "it was claimed in the constructor"
+        self._alone.watch()
         self.create_timer(1.0, self._world_topics.give_way, clock=steady)
+        self.create_timer(1.0, self._unreceived.look, clock=steady)
         self._stats.restart(self._stamp_ns)
         while goes_on() and not self._done:
             executor.spin_once(timeout_sec=0.5)
@@ -233,14 +211,16 @@ class PhysicsNode(Node):
         return 0
 
     def _end_last_tick(self, executor: Executor) -> None:
-        """Waits until everybody has done the tick at which ``duration`` ended."""
+        """Says when time ended; waits until all have done the last tick, where ``duration`` ended the run, and have what was published."""
+        self._ticks.end_clock(self._stamp_ns)
         gate = self._gate
         while gate is not None and gate.core.stamp_ns is not None and not gate.may_go():
             if gate.failure is not None:
                 raise gate.failure
             if self.simulator.quitting or not goes_on():
-                return
+                break
             executor.spin_once(timeout_sec=0.1)
+        wait_until_received(*self.publishers)
 
     def _set_timer(self) -> None:
         """Wakes the loop as often as time has to pass at the present rate."""
@@ -257,8 +237,7 @@ class PhysicsNode(Node):
         if self._done:
             return
         simulator, now_ns, gate = self.simulator, time.monotonic_ns(), self._gate
-        if gate is not None:
-            assert self._stamped is not None
+        if gate is not None and self._stamped is not None:
             for topic in self._stamped.arrived():
                 gate.core.receive(topic.lstrip("/"), now_ns)
         if gate is None or gate.may_go():
@@ -361,12 +340,17 @@ class PhysicsNode(Node):
         return 0 if world is None else world.stamp_ns
 
     def _wait_for_subscribers(self, executor: Executor) -> None:
-        """Holds time until the topics in ``wait_for`` have their subscribers, so that nobody misses the start."""
+        """Holds time until those hear each other who are in ``wait_for``, so that none misses the start."""
         wanted, cameras = self._config.wanted_subscribers(), self._world_topics.cameras
         images = [names.camera_topics(camera.name)[output] for camera in cameras for output in camera.outputs]
         wanted.update(dict.fromkeys(images, wanted.pop("cameras", 0)))
         wanted.update(dict.fromkeys((robot.truth_topic for robot in self._robots.values()), wanted.pop("robots", 0)))
-        wait_for_subscribers(self, executor, wanted)
+        commanders = wanted.pop("commands", 0)
+        heard = {
+            f"publishers of {robot.robot.name}'s cmd_vel ({commanders})": partial(robot.is_commanded_by, commanders)
+            for robot in self._robots.values()
+        }
+        wait_for_others(self, executor, wanted, heard)
 
     def _report(self) -> None:
         self._stats.publish(self._stamp_ns, self._config.rate, self._robots.values())
@@ -383,9 +367,8 @@ class PhysicsNode(Node):
             write_summary(self._config.summary_path, self._stats.summary(self._robots.values()))
             self._simulator.close()
             self._simulator = None
-        if self._domain_lock is not None:
-            self._domain_lock.close()
-            self._domain_lock = None
+        if self._alone is not None:
+            self._alone.close()
 
 
 def main(args: list[str] | None = None) -> None:

@@ -17,6 +17,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
 
 
 def _profile(depth: int, *, latched: bool = False) -> QoSProfile:
@@ -34,7 +35,10 @@ STATE = _profile(10)
 """Odometry, joint states, diagnostics, scene state."""
 TF = _profile(100)
 CLOCK = _profile(10)
-COMMAND = _profile(1)
+MOST_COMMANDS = 100
+"""Commands on one topic that may wait for the next step; older ones give way."""
+COMMAND = _profile(MOST_COMMANDS)
+"""All that come are obeyed, those of a step in their order: none is missing in what was obeyed, however late a step is."""
 TICK_DONE = _profile(100, latched=True)
 """Latched: a participant may be there before the simulation is."""
 INPUTS = _profile(100, latched=True)
@@ -61,7 +65,7 @@ def make_publisher(node: Node, message_type: Any, topic: str, profile: QoSProfil
         if "QoS override" not in str(error):
             raise
         known = "reliability: reliable or best_effort; history: keep_last or keep_all; depth: a whole number"
-        raise ConfigError(f"topic {topic!r}: {error}; allowed: {known}") from error
+        raise ConfigError(f"topic {quoted(topic)}: {error}; allowed: {known}") from error
 
 
 def overridable(profile: QoSProfile) -> dict[str, Any]:

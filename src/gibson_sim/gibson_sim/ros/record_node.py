@@ -17,6 +17,7 @@ from gibson_sim.bags.recording import Recording, report_lines
 from gibson_sim.client_config import RecordConfig
 from gibson_sim.errors import RecordError
 from gibson_sim.ros import names, qos
+from gibson_sim.ros.awaited import Awaited
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.intake import DEPTH, Intake, Taken, offered_qos, recording_profile
 from gibson_sim.ros.lockstep_client import MATCHING_S, SETTLED_S, LockstepParticipant
@@ -30,8 +31,6 @@ TURN_S = 0.01
 """What waits is taken so often. The middleware holds it until then, so this decides no time in the bag."""
 QUIET_S, MOST_DRAIN_S = 0.3, 3.0
 """At the end: nothing came for so long that was sent before; and how long that may take."""
-PATIENCE_S = 30.0
-"""Without /clock for so long, a user wants to know why nothing is recorded."""
 TIME_KNOWN_S = 0.5
 """So long after the publisher of /clock is known, it is known, too, whether time runs and whether its node listens to participants of lockstep."""
 ALONE_S = 3.0
@@ -85,7 +84,7 @@ class RecordNode(Node):
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.2, self._find_topics, clock=steady)
         self.create_timer(config.flush_period, self._recording.flush, clock=steady)
-        self.create_timer(PATIENCE_S, self._complain_without_clock, clock=steady)
+        self._simulation = Awaited.simulation(self, names.CLOCK, config.timeout)
         self._find_topics()
 
     def _find_topics(self) -> None:
@@ -200,6 +199,7 @@ class RecordNode(Node):
         executor = make_executor()
         executor.add_node(self)
         while goes_on() and not self._recording.done:
+            self._simulation.look()
             began = time.monotonic()
             self._take_waiting()
             executor.spin_once(timeout_sec=max(0.0, TURN_S - (time.monotonic() - began)))
@@ -222,10 +222,6 @@ class RecordNode(Node):
                 quiet = time.monotonic()
             time.sleep(TURN_S)
         self._take_all()
-
-    def _complain_without_clock(self) -> None:
-        if not self._beginning.has_clock:
-            self.get_logger().warning("nothing is recorded yet: no /clock arrives; is a simulation running in this domain?")
 
     def close(self) -> None:
         """Closes the bag, and says what is in it."""

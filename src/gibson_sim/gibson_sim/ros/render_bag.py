@@ -18,6 +18,7 @@ from typing import Any, cast
 
 from rclpy.serialization import serialize_message
 
+from gibson_sim import interrupts
 from gibson_sim.bags.copying import definitions_of, offered_qos
 from gibson_sim.bags.progress import Advance, no_progress, progress_bar
 from gibson_sim.bags.reader import BagReader
@@ -27,6 +28,8 @@ from gibson_sim.client_config import RenderBagConfig
 from gibson_sim.config import RenderConfig
 from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.geometry.transforms import Mat4, invert
+from gibson_sim.interrupts import Interruptible
+from gibson_sim.quoting import quoted
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.resources import find_config
 from gibson_sim.ros import conversions, names, qos
@@ -188,7 +191,7 @@ class _Rendering:
             raise ConfigError(f"bag {self._bag.folder} has no cameras of its own; give some with --cameras")
         registrations = self._render.registrations()
         for name in {*registrations, *registrations.values()} - set(cameras):
-            raise ConfigError(f"setting 'register_depth' names camera {name!r}; there are: {', '.join(cameras)}")
+            raise ConfigError(f"setting 'register_depth' names camera {quoted(name)}; there are: {', '.join(cameras)}")
         return {
             name: CameraMessages(camera, self._render, cameras.get(registrations.get(name, "")))
             for name, camera in cameras.items()
@@ -356,7 +359,7 @@ class _Rendering:
 def _load_lights(path: str) -> LightSpec:
     """Returns the lights of a file with a section ``light`` as in a scene.yaml."""
     file = Path(path)
-    builder = SceneBuilder(file.stem, file.parent)
+    builder = SceneBuilder(file.stem, file.parent, description=file)
     read_scene_yaml(builder, file)
     return builder.light
 
@@ -370,14 +373,14 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         values = json.loads((arguments or sys.argv[1:])[0])
         job, render = RenderBagConfig(**values["bag"]), RenderConfig(**values["render"])
-        with progress_bar("drawing") as advance:
+        with Interruptible(), progress_bar("drawing") as advance:
             summary = render_bag(job, render, advance)
     except GibsonSimError as error:
         print(f"gibson-sim: error: {error}", file=sys.stderr)
         sys.exit(1)
     except KeyboardInterrupt:
         print("interrupted: the new bag holds everything up to here", file=sys.stderr)
-        sys.exit(1)
+        interrupts.die()
     print(f"{job.output}: {summary.text()}")
 
 

@@ -12,9 +12,10 @@ from rclpy.node import Node
 
 from gibson_msgs.msg import Scene, SceneState
 from gibson_sim.config import RenderConfig
-from gibson_sim.errors import GibsonSimError
+from gibson_sim.errors import ConfigError, GibsonSimError
 from gibson_sim.geometry.exposures import needs_previous
 from gibson_sim.geometry.transforms import Mat4, invert
+from gibson_sim.quoting import quoted
 from gibson_sim.render.context import open_context
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.ros import conversions, names, qos
@@ -85,6 +86,7 @@ class RenderNode(Node):
         self._taker: PictureTaker | None = None
         self._stats = RenderStats()
         self._lockstep: LockstepParticipant | None = None
+        self._failure: ConfigError | None = None
         self._last_done: tuple[int, int] | None = None
         self._digests = DigestPublisher(self) if self._config.digests else None
         self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
@@ -97,7 +99,7 @@ class RenderNode(Node):
             scene, warnings = with_local_files(conversions.scene_from_msg(msg), self._config.asset_folders())
             self._load(scene, warnings)
         except GibsonSimError as error:
-            self.get_logger().error(f"scene {msg.name!r} is not drawn: {error}")
+            self.get_logger().error(f"scene {quoted(msg.name)} is not drawn: {error}")
             return
         for camera in self._cameras.values():
             camera.publish_labels(scene, conversions.time_from_msg(msg.header.stamp))
@@ -135,11 +137,14 @@ class RenderNode(Node):
     def _take_cameras(self, scene: DrawnScene) -> None:
         """Makes the topics of cameras that are new, keeps those of the ones that stayed, and removes the others."""
         by_name = {camera.name: camera for camera in scene.cameras}
-        known, wanted = ", ".join(by_name) or "none", self._config.wanted_cameras()
-        registrations = self._config.registrations()
-        for name in (*wanted, *registrations, *registrations.values()):
-            if name not in by_name:
-                self.get_logger().warning(f"settings name camera {name!r}; the scene has: {known}")
+        wanted, registrations = self._config.wanted_cameras(), self._config.registrations()
+        try:
+            self._config.check_cameras(tuple(by_name))
+        except ConfigError as error:
+            # A robot may go, or come, while the simulation runs; at the beginning it is a slip.
+            if self._state_subscription is None and by_name:
+                self._failure = error
+            self.get_logger().warning(str(error))
         old = {publisher.camera.name: publisher for publisher in self._cameras.values()}
         self._cameras = {}
         for index, camera in enumerate(scene.cameras):
@@ -256,8 +261,14 @@ class RenderNode(Node):
         return T
 
     def spin(self) -> int:
-        """Draws until the context ends; returns the exit code."""
-        spin_while(self)
+        """Draws until the context ends; returns the exit code.
+
+        Raises:
+            ConfigError: settings name a camera that the first scene lacks.
+        """
+        spin_while(self, lambda: self._failure is None)
+        if self._failure is not None:
+            raise self._failure
         return 0
 
     def _publish_diagnostics(self) -> None:

@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
-import yaml
 from rclpy.duration import Duration
 from rclpy.executors import Executor
 from rclpy.node import Node
@@ -16,18 +15,18 @@ from sensor_msgs.msg import Image
 
 from gibson_msgs.msg import Input, RunInfo, SceneState, TickDigest
 from gibson_sim.bags.digest_comparison import DigestComparison, Tick, TickDigests
-from gibson_sim.bags.replaying import InputSchedule, RecordedCommand, RecordedInput, read_run
+from gibson_sim.bags.replaying import InputSchedule, RecordedCommand, RecordedInput, mapping_in, read_run
 from gibson_sim.client_config import ReplayConfig
-from gibson_sim.errors import ConfigError, RecordError
+from gibson_sim.errors import ConfigError, GibsonSimError, RecordError
 from gibson_sim.ros import conversions, names, qos
+from gibson_sim.ros.awaited import Awaited
 from gibson_sim.ros.executor import make_executor
-from gibson_sim.ros.lockstep_client import LockstepParticipant, reaches_all
+from gibson_sim.ros.lockstep_client import LockstepParticipant
+from gibson_sim.ros.matching import reaches_all
 from gibson_sim.ros.message_types import message_class
 from gibson_sim.ros.node_main import goes_on, run_node, write_summary
 from gibson_sim.ros.params import config_from_parameters
 
-PATIENCE_S = 60.0
-"""So long (wall time) the simulation may take to offer its topics."""
 LAST_DIGESTS_S = 2.0, 20.0
 """So long (wall time) after the last tick its digests may take: free, where images may be left out, and in lockstep."""
 _TICKS_AHEAD = 2
@@ -112,7 +111,10 @@ class ReplayNode(Node):
 
     def _prepare(self, executor: Executor) -> None:
         """Gives what comes before the first tick, then lets time begin: it waits for a reader of the state."""
-        self._wait(executor, self._giver.is_heard, "simulation that takes the inputs")
+        simulation = Awaited.simulation(self, names.SCENE_STATE, self._config.timeout)
+        while goes_on() and not simulation.look():
+            executor.spin_once(timeout_sec=0.05)
+        self._wait(executor, self._giver.is_heard, "a simulation that takes the inputs")
         if self._comparison is not None:
             self.create_subscription(TickDigest, names.TICK_DIGEST, self._on_digests, _DEEP)
             self.create_subscription(RunInfo, names.RUN_INFO, self._on_run_info, qos.RUN_INFO)
@@ -127,12 +129,13 @@ class ReplayNode(Node):
             self._lockstep = LockstepParticipant(self)
 
     def _wait(self, executor: Executor, condition: Callable[[], bool], what: str) -> None:
-        deadline = time.monotonic() + PATIENCE_S
-        while goes_on() and not condition():
-            if time.monotonic() > deadline:
-                self.get_logger().warning(f"no {what} after {PATIENCE_S:.0f} s; the replay goes on without")
-                return
-            executor.spin_once(timeout_sec=0.05)
+        """Works until a condition holds; without, after a timeout, the replay goes on, and what is missing differs."""
+        awaited = Awaited(self, what, condition, timeout_s=self._config.timeout)
+        try:
+            while goes_on() and not awaited.look():
+                executor.spin_once(timeout_sec=0.05)
+        except GibsonSimError as error:
+            self.get_logger().warning(f"{error}; the replay goes on without")
 
     # Time
 
@@ -166,7 +169,7 @@ class ReplayNode(Node):
 
     def _on_run_info(self, msg: RunInfo) -> None:
         """Notes what of the machine and its software is not as it was."""
-        now = {**yaml.safe_load(msg.platform), "gibson_sim": msg.version}
+        now = {**mapping_in(msg.platform), "gibson_sim": msg.version}
         before = self._run.surroundings.get(msg.kind, {})
         keys = [key for key in {**before, **now} if key not in _LEFT_OUT]
         pairs = {key: [str(before.get(key)), str(now.get(key))] for key in keys}

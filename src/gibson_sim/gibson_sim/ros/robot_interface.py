@@ -28,21 +28,17 @@ from gibson_sim.ros.digest_publisher import DigestPublisher
 from gibson_sim.ros.fast_publish import FastImu, FastJointStates, FastOdometry, FastTf, RelativePoses
 from gibson_sim.ros.journal import Journal
 from gibson_sim.ros.stamped_commands import StampedCommands
-from gibson_sim.scenes.spec import WORLD_FRAME
 from gibson_sim.sensors.imu import ImuReading
 from gibson_sim.sensors.suite import Measurements, SensorSuite
-from gibson_sim.types import SceneState
-
-_MOST_COMMANDS = 16
-"""Commands kept between two steps; older ones give way."""
+from gibson_sim.types import WORLD_FRAME, SceneState
 
 
 class RobotInterface:
     """Publishes what a robot measures and hands it what it is told. All names are relative to its namespace.
 
     Subscribes:
-        cmd_vel (geometry_msgs/Twist and geometry_msgs/TwistStamped): wanted velocity, base frame, m/s and rad/s. Older than
-            ``cmd_vel_timeout`` it stops the robot. A NaN or an infinity is ignored with a warning.
+        cmd_vel (geometry_msgs/Twist, geometry_msgs/TwistStamped, or both, see ``cmd_vel_type``): wanted velocity, base frame, m/s
+            and rad/s. Older than ``cmd_vel_timeout`` it stops the robot. A NaN or an infinity is ignored with a warning.
         joint_trajectory (trajectory_msgs/JointTrajectory): joints pass through its points; an empty one stops them.
         joint_command (sensor_msgs/JointState): joints go to the positions, or turn at the velocities where it has no positions.
 
@@ -50,6 +46,8 @@ class RobotInterface:
         tf and tf_static: odom -> base, moving links; sensors, latched. One robot alone uses /tf and /tf_static.
         odom (nav_msgs/Odometry): from the wheels. ground_truth/odom (nav_msgs/Odometry): the truth, in the map frame.
         joint_states (sensor_msgs/JointState), robot_description (std_msgs/String, latched).
+        cmd_vel_applied (geometry_msgs/TwistStamped): each velocity command that took effect, of whatever type it came, as it came,
+            with the stamp from which it holds.
         What its file lists: scan (sensor_msgs/LaserScan), lidar/points (sensor_msgs/PointCloud2), imu (sensor_msgs/Imu), bumper
         (std_msgs/Bool) and bumper/wrench (geometry_msgs/WrenchStamped), battery_state (sensor_msgs/BatteryState).
 
@@ -59,13 +57,22 @@ class RobotInterface:
     def __init__(
         self,
         node: Node,
-        stamped: StampedCommands,
+        stamped: StampedCommands | None,
         robot: RobotSpec,
         world: PhysicsWorld,
         config: PhysicsConfig,
         received: Callable[[str], None],
     ) -> None:
-        """Makes the publishers and publishes what never changes; ``received`` is called with the topic of each command."""
+        """Makes the publishers and publishes what never changes.
+
+        Args:
+            node: of the topics.
+            stamped: receives cmd_vel as TwistStamped where the node receives it as Twist; None = there is one type alone.
+            robot: whose topics they are.
+            world: that has the robot.
+            config: settings of the node.
+            received: is called with the topic of each command.
+        """
         self.robot = robot
         self.refused_commands = self.commands_seen = 0
         self._node, self._config = node, config
@@ -74,14 +81,15 @@ class RobotInterface:
         self._publishers: list[Publisher] = []
         self._make_publishers()
         self.sensors = SensorSuite(robot, config.step_hz, config.publish_hz, world.scene.gravity, config.seed)
-        self._commands: deque[tuple[str, Any]] = deque(maxlen=_MOST_COMMANDS)
-        self._kept: deque[tuple[str, Any]] = deque(maxlen=_MOST_COMMANDS)
+        self._commands: deque[tuple[str, Any]] = deque(maxlen=qos.MOST_COMMANDS)
+        self._kept: deque[tuple[str, Any]] = deque(maxlen=qos.MOST_COMMANDS)
+        self._applied: list[TwistStamped] = []
         self._last_state: list[tuple[Publisher, bytes]] = []
         self._received = received
         self._subscriptions = [
             node.create_subscription(kind, self._topic(name), partial(self._take, self._resolved(name)), qos.COMMAND)
             for kind, name in (
-                (Twist, names.CMD_VEL),
+                (TwistStamped if config.cmd_vel_type == "stamped" else Twist, names.CMD_VEL),
                 (JointTrajectory, names.JOINT_TRAJECTORY),
                 (JointState, names.JOINT_COMMAND),
             )
@@ -94,7 +102,8 @@ class RobotInterface:
         self._arms = ArmInterface(node, robot, received, world.stamp_ns)
         self.command_topics = own_topics | self._arms.command_topics
         self._stamped = stamped
-        self._stamped_subscription = stamped.subscribe(TwistStamped, self._topic(names.CMD_VEL), self._commands)
+        if stamped is not None:
+            self._stamped_subscription = stamped.subscribe(TwistStamped, self._topic(names.CMD_VEL), self._commands)
         self._rates = {lidar.name: lidar.rate_hz for lidar in robot.sensors.lidars}
         self._imus: dict[str, FastImu] = {}
         self._rows_of = -1
@@ -133,6 +142,7 @@ class RobotInterface:
         tf, tf_static = (topic("tf"), topic("tf_static")) if robot.own_tf else (names.TF, names.TF_STATIC)
         self._tf_pub = self._publisher(TFMessage, tf, qos.TF)
         self._tf_static_pub = self._publisher(TFMessage, tf_static, qos.LATCHED)
+        self._applied_pub = self._publisher(TwistStamped, topic(names.CMD_VEL_APPLIED), qos.STATE)
         self._odom_pub = self._publisher(RosOdometry, topic(names.ODOM), qos.STATE)
         self._joints_pub = self._publisher(JointState, topic(names.JOINT_STATES), qos.STATE)
         self._description_pub = self._publisher(String, topic(names.ROBOT_DESCRIPTION), qos.LATCHED)
@@ -168,6 +178,11 @@ class RobotInterface:
                 transforms.append(conversions.transform_to_msg(0, parent, camera.optical_frame, camera.pose))
         self._tf_static_pub.publish(TFMessage(transforms=transforms))
 
+    def is_commanded_by(self, count: int) -> bool:
+        """Returns whether the cmd_vel of so many publishers is received, of either type."""
+        received = [self._subscriptions[0]] if self._stamped is None else [self._subscriptions[0], self._stamped_subscription]
+        return bool(sum(subscription.handle.get_publisher_count() for subscription in received) >= count)
+
     def keep_commands(self) -> None:
         """Keeps the commands that arrived until now for the next step; later ones are for the steps after it."""
         for _ in range(len(self._commands)):
@@ -195,6 +210,18 @@ class RobotInterface:
         else:
             twist = msg.twist if isinstance(msg, TwistStamped) else msg
             world.command(name, conversions.velocity_from_msg(twist, now))
+            if self._applied_pub.get_subscription_count():
+                self._applied.append(TwistStamped(header=conversions.header_to_msg(now, self._base_frame), twist=twist))
+
+    def pop_applied(self) -> list[TwistStamped]:
+        """Returns the velocity commands that took effect since the last call, for ``publish_applied``; none without subscribers."""
+        applied, self._applied = self._applied, []
+        return applied
+
+    def publish_applied(self, commands: Sequence[TwistStamped]) -> None:
+        """Publishes velocity commands that took effect, each with the stamp of the state that it was given in."""
+        for command in commands:
+            self._applied_pub.publish(command)
 
     def publish_odometry(self, world: PhysicsWorld) -> None:
         """Publishes what the wheels say: it needs no state of the world."""
@@ -204,7 +231,9 @@ class RobotInterface:
         odometry = world.odometry(self.robot.name)
         pose = conversions.odometry_pose(odometry)
         twist = (odometry.linear, odometry.lateral, 0.0), (0.0, 0.0, odometry.angular)
-        self._publish_state(self._odom_pub, self._odom.serialize(world.stamp_ns, pose.position, pose.quat_xyzw, *twist))
+        covariances = map(conversions.planar_covariance, world.odometry_covariance(self.robot.name))
+        message = self._odom.serialize(world.stamp_ns, pose.position, pose.quat_xyzw, *twist, *covariances)
+        self._publish_state(self._odom_pub, message)
 
     def publish_state(self, world: PhysicsWorld, state: SceneState, digests: DigestPublisher | None = None) -> None:
         """Publishes where the robot is, but for ``publish_odometry``, with the stamp of the state; ``digests`` has all of it."""
@@ -255,7 +284,7 @@ class RobotInterface:
         if self._config.publish_map_tf:
             frames.append((WORLD_FRAME, self._odom_frame))
         self._tf = FastTf(frames)
-        self._odom = FastOdometry(self._odom_frame, self._base_frame, *conversions.odometry_covariances())
+        self._odom = FastOdometry(self._odom_frame, self._base_frame)
         self._truth = FastOdometry(WORLD_FRAME, self._base_frame)
         self._joints = FastJointStates([joint for joint, _, _ in robot.moving_joints])
 
@@ -295,20 +324,16 @@ class RobotInterface:
             self._sensor_pubs[battery.name].publish(conversions.battery_to_msg(battery))
 
     def _imu_message(self, reading: ImuReading) -> bytes:
-        """Returns a sample as bytes; covariances stay those of the first one."""
+        """Returns a sample as bytes; the covariance of the orientation stays that of the first one."""
         message = self._imus.get(reading.name)
         if message is None:
-            first = conversions.imu_to_msg(reading, "")
-            covariances = (
-                first.orientation_covariance,
-                first.angular_velocity_covariance,
-                first.linear_acceleration_covariance,
-            )
-            message = FastImu(self._frame(reading.link), *(c.tolist() for c in covariances))
+            orientation_covariance = conversions.imu_to_msg(reading, "").orientation_covariance
+            message = FastImu(self._frame(reading.link), orientation_covariance.tolist())
             self._imus[reading.name] = message
         quat = reading.orientation_xyzw or (0.0, 0.0, 0.0, 1.0)
         angular, linear = reading.angular_velocity.tolist(), reading.linear_acceleration.tolist()
-        return message.serialize(reading.stamp_ns, quat, angular, linear)
+        variances = reading.angular_variance, reading.linear_variance
+        return message.serialize(reading.stamp_ns, quat, angular, linear, *variances)
 
     def _frame(self, link: str) -> str:
         return self.robot.frame_prefix + names.link_name(link)
@@ -317,13 +342,15 @@ class RobotInterface:
         """Forgets commands and what the sensors remember, after ``step`` steps of the world."""
         self._commands.clear()
         self._kept.clear()
+        self._applied.clear()
         self._arms.reset()
         self.sensors.reset(step)
 
     def close(self) -> None:
         """Takes the topics back."""
         self._arms.close()
-        self._stamped.unsubscribe(self._stamped_subscription)
+        if self._stamped is not None:
+            self._stamped.unsubscribe(self._stamped_subscription)
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         for publisher in self._publishers:

@@ -11,7 +11,6 @@ import logging
 import math
 import time
 from collections.abc import Callable
-from enum import IntEnum
 from functools import partial
 from threading import Thread
 from typing import Any
@@ -24,14 +23,18 @@ from simulation_interfaces.action import SimulateSteps
 from simulation_interfaces.msg import SpawnResult
 
 from gibson_sim import __version__
-from gibson_sim.errors import ConfigError, GibsonSimError
+from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
 from gibson_sim.ros import simulation_conversions as convert
 from gibson_sim.ros.deferred import DeferredService, Later
+from gibson_sim.ros.in_order import InOrder
+from gibson_sim.ros.results import end_goal, failed, succeeded
 from gibson_sim.scenes.spawning import SPAWN_FORMATS
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.simulation import catalogue
-from gibson_sim.simulation.codes import Result, SimulationError, SpawnEntitiesCode, shortened
+from gibson_sim.simulation.codes import Result, SimulationError, SpawnEntitiesCode
 from gibson_sim.simulation.features import supported_features
+from gibson_sim.simulation.population import ReadAhead
 from gibson_sim.simulation.requests import LoadRequest, WorldInfo
 from gibson_sim.simulation.simulator import Simulator
 from gibson_sim.simulation.states import SimulationState
@@ -54,6 +57,10 @@ _CHANGING = frozenset(
 """What changes the course of things, and not only when they happen."""
 _CHANGING_STATES = (SimulationState.STOPPED, SimulationState.PLAYING)
 """To stop is to reset, and a world that was loaded has to be started; a pause changes nothing."""
+_SPAWNING = frozenset({"spawn_entity", "spawn_entities"})
+"""What names files; what was read of them is handed to the handler."""
+_Handler = Callable[..., Later | str | None]
+_Found = list[ReadAhead | None] | None
 SPAWNS_AT_ONCE = 50
 """Entities of one request that are spawned before the loop goes on."""
 QUIT_GRACE_S = 0.3
@@ -72,7 +79,12 @@ class SimulationServices:
     """
 
     def __init__(
-        self, node: Node, simulator: Simulator, prefix: str = "", note: Callable[[str, Any], None] = lambda name, request: None
+        self,
+        node: Node,
+        simulator: Simulator,
+        prefix: str = "",
+        note: Callable[[str, Any], None] = lambda name, request: None,
+        lockstep: bool = False,
     ) -> None:
         """Starts to offer them. The node must be given to an executor.
 
@@ -81,13 +93,16 @@ class SimulationServices:
             simulator: what they are about.
             prefix: stands before their names; it may hold a namespace, such as ``sim/``.
             note: is called with name and request before a request changes the simulation.
+            lockstep: time waits for what is read of things that are spawned, since the step that obeys must not hang on how long that
+                takes. Otherwise time goes on meanwhile, and requests that come later wait for their turn.
         """
         self._node, self._simulator, self._prefix, self._note = node, simulator, prefix, note
-        self._closed, self._quit_s = False, -math.inf
+        self._closed, self._quit_s, self._read_ahead = False, -math.inf, not lockstep
+        self._in_order = InOrder(self._run_soon)
         self._goals: dict[bytes, StepRequest] = {}
         group = ReentrantCallbackGroup()
         self._services = [
-            DeferredService(node, kind, f"{prefix}{name}", partial(self._handle, name, handler), callback_group=group)
+            DeferredService(node, kind, f"{prefix}{name}", partial(self._take, name, handler), callback_group=group)
             for kind, name, handler in self._table()
         ]
         self._action = ActionServer(
@@ -111,7 +126,7 @@ class SimulationServices:
             self._closed = True
             self._action.destroy()
 
-    def _table(self) -> list[tuple[Any, str, Callable[[Any, Any], Later | str | None]]]:
+    def _table(self) -> list[tuple[Any, str, _Handler]]:
         """Returns type, name and handler of every service, in the order of the standard's features."""
         return [
             (srv.GetSimulatorFeatures, "get_simulator_features", self._get_features),
@@ -150,17 +165,38 @@ class SimulationServices:
                 if not isinstance(response, Later) and response.result.result != Result.OK:
                     logger.warning("%s, repeated from a record: %s", name, response.result.error_message)
                 return
-        raise ConfigError(f"there is no service {name!r} that a record could repeat; was it made with another 'service_prefix'?")
+        raise ConfigError(
+            f"there is no service {quoted(name)} that a record could repeat; was it made with another 'service_prefix'?"
+        )
 
-    def _handle(self, name: str, handler: Callable[[Any, Any], Later | str | None], request: Any, response: Any) -> Any:
+    def _take(self, name: str, handler: _Handler, request: Any, response: Any) -> Any:
+        """Answers a request once its turn has come, and what it names was read."""
+        if not _changes(name, request):
+            return self._handle(name, handler, request, response)
+        read = self._reading(name, request) if self._read_ahead and name in _SPAWNING else None
+        return self._in_order.take(lambda found: self._handle(name, handler, request, response, found), read)
+
+    def _reading(self, name: str, request: Any) -> Callable[[], Any] | None:
+        """Returns what reads the files that a request names; None where it fails anyway."""
+        items = list(request.spawn_requests) if name == "spawn_entities" else [request]
+        try:
+            return self._simulator.population.reading([convert.spawn_request_from_msg(item) for item in items])
+        except SimulationError:
+            return None
+
+    def _handle(self, name: str, handler: _Handler, request: Any, response: Any, found: Any = None) -> Any:
         """Answers a request: a handler returns None or a remark where all is well, and a Later where it takes longer."""
-        if name in _CHANGING and not (name == "set_simulation_state" and request.state.state not in _CHANGING_STATES):
+        if _changes(name, request):
             self._note(self._node.resolve_service_name(f"{self._prefix}{name}"), request)
         try:
-            outcome = handler(request, response)
+            outcome = handler(request, response, found) if name in _SPAWNING else handler(request, response)
         except Exception as error:
-            return _failed(response, error)
-        return outcome if isinstance(outcome, Later) else _succeeded(response, outcome or "")
+            return failed(response, error)
+        return outcome if isinstance(outcome, Later) else succeeded(response, outcome or "")
+
+    def _run_soon(self, function: Callable[..., Any], *arguments: Any) -> None:
+        if not self._closed:
+            self._node.executor.create_task(function, *arguments)
 
     def _get_features(self, _: Any, response: Any) -> None:
         response.features.features = list(supported_features())
@@ -183,7 +219,7 @@ class SimulationServices:
 
         def ended(work: StepRequest) -> None:
             error = SimulationError(Result.OPERATION_FAILED, work.failure) if work.failure else None
-            later.answer(_succeeded(response) if error is None else _failed(response, error))
+            later.answer(succeeded(response) if error is None else failed(response, error))
 
         self._simulator.request_steps(request.steps, on_end=ended)
         return later
@@ -215,45 +251,71 @@ class SimulationServices:
     def _get_entity_bounds(self, request: Any, response: Any) -> None:
         response.bounds = convert.bounds_to_msg(self._simulator.population.bounds(request.entity))
 
-    def _spawn_entity(self, request: Any, response: Any) -> None:
-        response.entity_name = self._simulator.population.spawn(convert.spawn_request_from_msg(request))
+    def _spawn_entity(self, request: Any, response: Any, found: _Found) -> None:
+        response.entity_name = self._simulator.population.spawn(
+            convert.spawn_request_from_msg(request), found[0] if found else None
+        )
 
-    def _spawn_entities(self, request: Any, response: Any) -> Later:
-        later, waiting = Later(), list(request.spawn_requests)
+    def _spawn_entities(self, request: Any, response: Any, found: _Found) -> Later:
+        later = Later()
+        waiting = list(zip(request.spawn_requests, found or [None] * len(request.spawn_requests), strict=True))
         _ = self._simulator.population  # without a world it fails as a whole
 
         def some() -> None:
             now, waiting[:] = waiting[:SPAWNS_AT_ONCE], waiting[SPAWNS_AT_ONCE:]
             for item in now:
-                response.results.append(self._spawned(item))
+                response.results.append(self._spawned(*item))
             if waiting:
                 self._node.executor.create_task(some)
             else:
-                failed = sum(result.result.result != Result.OK for result in response.results)
-                text = f"{failed} of {len(response.results)} entities could not be spawned; results says why"
+                lost = sum(result.result.result != Result.OK for result in response.results)
+                text = f"{lost} of {len(response.results)} entities could not be spawned; results says why"
                 error = SimulationError(SpawnEntitiesCode.ENTITIES_SPAWN_FAILED, text)
-                later.answer(_failed(response, error) if failed else _succeeded(response))
+                later.answer(failed(response, error) if lost else succeeded(response))
 
         response.results = []
         some()
         return later
 
-    def _spawned(self, item: Any) -> SpawnResult:
+    def _spawned(self, item: Any, ahead: ReadAhead | None) -> SpawnResult:
         """Spawns one of many and returns how it went."""
         result = SpawnResult()
         try:
-            result.entity_name = self._simulator.population.spawn(convert.spawn_request_from_msg(item))
+            result.entity_name = self._simulator.population.spawn(convert.spawn_request_from_msg(item), ahead)
         except Exception as error:
-            return _failed(result, error)
-        return _succeeded(result)
+            return failed(result, error)
+        return succeeded(result)
 
     def _delete_entity(self, request: Any, _: Any) -> None:
         self._simulator.population.delete(request.entity)
 
-    def _get_spawnables(self, request: Any, response: Any) -> str:
-        found, remark = catalogue.spawnables(tuple(request.sources))
-        response.spawnables = [convert.spawnable_to_msg(spawnable) for spawnable in found]
-        return remark
+    def _beside(self, work: Callable[[], str], response: Any) -> Later:
+        """Does what touches nothing but files and the response in a thread, while time goes on; it returns a remark."""
+        later = Later()
+
+        def ended(outcome: str | Exception) -> None:
+            later.answer(failed(response, outcome) if isinstance(outcome, Exception) else succeeded(response, outcome))
+
+        def run() -> None:
+            outcome: str | Exception
+            try:
+                outcome = work()
+            except Exception as error:
+                outcome = error
+            self._run_soon(ended, outcome)
+
+        Thread(target=run, name="look-for-files", daemon=True).start()
+        return later
+
+    def _get_spawnables(self, request: Any, response: Any) -> Later:
+        sources = tuple(request.sources)
+
+        def work() -> str:
+            found, remark = catalogue.spawnables(sources)
+            response.spawnables = [convert.spawnable_to_msg(spawnable) for spawnable in found]
+            return remark
+
+        return self._beside(work, response)
 
     def _get_named_poses(self, request: Any, response: Any) -> None:
         poses = self._simulator.named_poses(convert.tags_filter_from_msg(request.tags))
@@ -265,7 +327,6 @@ class SimulationServices:
     def _load_world(self, request: Any, response: Any) -> Later:
         later, wanted = Later(), convert.load_request_from_msg(request)
         self._simulator.begin_load(wanted)
-        executor = self._node.executor
 
         def read() -> None:
             outcome: SceneSpec | Exception
@@ -273,8 +334,7 @@ class SimulationServices:
                 outcome = self._simulator.read_world(wanted)
             except Exception as error:
                 outcome = error
-            if not self._closed:
-                executor.create_task(self._world_read, wanted, outcome, response, later)
+            self._run_soon(self._world_read, wanted, outcome, response, later)
 
         Thread(target=read, name="read-world", daemon=True).start()
         return later
@@ -287,20 +347,23 @@ class SimulationServices:
             response.world = convert.world_to_msg(self._simulator.finish_load(wanted, outcome))
         except Exception as error:
             self._simulator.abandon_load()
-            later.answer(_failed(response, error))
+            later.answer(failed(response, error))
         else:
-            later.answer(_succeeded(response))
+            later.answer(succeeded(response))
 
     def _unload_world(self, _: Any, __: Any) -> None:
         self._simulator.unload_world()
 
-    def _get_available_worlds(self, request: Any, response: Any) -> None:
-        worlds = catalogue.available_worlds(
-            tuple(request.additional_sources),
-            convert.tags_filter_from_msg(request.filter),
-            continue_on_error=request.continue_on_error,
-        )
-        response.worlds = [convert.world_to_msg(WorldInfo(w.name, w.uri, description=w.description, tags=w.tags)) for w in worlds]
+    def _get_available_worlds(self, request: Any, response: Any) -> Later:
+        sources, tags = tuple(request.additional_sources), convert.tags_filter_from_msg(request.filter)
+
+        def work() -> str:
+            worlds = catalogue.available_worlds(sources, tags, continue_on_error=request.continue_on_error)
+            found = [WorldInfo(w.name, w.uri, description=w.description, tags=w.tags) for w in worlds]
+            response.worlds = [convert.world_to_msg(world) for world in found]
+            return ""
+
+        return self._beside(work, response)
 
     def _get_current_world(self, _: Any, response: Any) -> None:
         response.world = convert.world_to_msg(self._simulator.current_world())
@@ -314,12 +377,12 @@ class SimulationServices:
 
         def ended(work: StepRequest) -> None:
             self._goals.pop(key, None)
-            _end_goal(goal, SimulationError(Result.OPERATION_FAILED, work.failure) if work.failure else None)
+            end_goal(goal, SimulationError(Result.OPERATION_FAILED, work.failure) if work.failure else None)
 
         try:
             work = self._simulator.request_steps(goal.request.steps, progress, ended)
         except SimulationError as error:
-            _end_goal(goal, error)
+            end_goal(goal, error)
             return
         if not work.ended:
             self._goals[key] = work
@@ -332,40 +395,10 @@ class SimulationServices:
         return CancelResponse.ACCEPT
 
 
-def _end_goal(goal: Any, error: SimulationError | None) -> None:
-    """Ends a goal: as cancelled where the client asked for that, else as aborted where there is an error."""
-
-    def finish(handle: Any) -> Any:
-        if handle.is_cancel_requested:
-            handle.canceled()
-        elif error is not None:
-            handle.abort()
-        else:
-            handle.succeed()
-        result = SimulateSteps.Result()
-        return _succeeded(result) if error is None else _failed(result, error)
-
-    goal.execute(finish)
+def _changes(name: str, request: Any) -> bool:
+    """Returns whether a request changes the course of things."""
+    return name in _CHANGING and not (name == "set_simulation_state" and request.state.state not in _CHANGING_STATES)
 
 
 def _never(_: Any) -> Any:
     raise AssertionError("goals bring their own callback")
-
-
-def _succeeded(response: Any, remark: str = "") -> Any:
-    """Returns the response with RESULT_OK; GetSimulatorFeatures alone has no result."""
-    if hasattr(response, "result"):
-        response.result.result, response.result.error_message = int(Result.OK), remark
-    return response
-
-
-def _failed(response: Any, error: Exception) -> Any:
-    """Returns the response with the code and the text of an error; one that nobody foresaw is logged in full."""
-    code: IntEnum = error.code if isinstance(error, SimulationError) else Result.OPERATION_FAILED
-    text = str(error)
-    if not isinstance(error, GibsonSimError):
-        logger.error("a request failed for a reason that is a mistake of ours", exc_info=error)
-        text = f"internal error: {type(error).__name__}: {text}"
-    if hasattr(response, "result"):
-        response.result.result, response.result.error_message = int(code), shortened(text)
-    return response

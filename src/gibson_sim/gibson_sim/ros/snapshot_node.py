@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-import time
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rclpy.node import Node
@@ -16,8 +13,10 @@ from sensor_msgs.msg import Image
 
 from gibson_msgs.msg import Scene
 from gibson_sim.client_config import SnapshotConfig
-from gibson_sim.errors import GibsonSimError
+from gibson_sim.errors import ConfigError, WriteError
+from gibson_sim.picture_files import write_array, write_picture
 from gibson_sim.ros import conversions, names, qos
+from gibson_sim.ros.awaited import Awaited
 from gibson_sim.ros.node_main import run_node, spin_while
 from gibson_sim.ros.params import config_from_parameters
 
@@ -41,8 +40,15 @@ class SnapshotNode(Node):
         super().__init__("snapshot", **kwargs)
         self._config = config_from_parameters(self, SnapshotConfig)
         self._folder = Path(self._config.output)
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(
+                f"folder {self._folder} cannot be used: {error.strerror}; choose one that can be written"
+            ) from error
         self._missing: dict[str, str] = {}
         self._scene_seen = False
+        self._failed: WriteError | None = None
         self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
 
     def _on_scene(self, msg: Scene) -> None:
@@ -61,30 +67,34 @@ class SnapshotNode(Node):
         if name is None:
             return
         path = self._folder / name
-        self._folder.mkdir(parents=True, exist_ok=True)
         pixels = conversions.array_from_image(msg)
         try:
             if path.suffix == ".npy":
-                np.save(path, pixels)
-                written = True
+                write_array(path, pixels)
             else:
-                written = bool(cv2.imwrite(str(path), png_pixels(pixels)))
-        except OSError:
-            written = False
-        if not written:
-            raise GibsonSimError(f"{path} cannot be written: is the folder writable and the disk not full?")
+                write_picture(path, png_pixels(pixels))
+        except WriteError as error:  # rclpy would print the stack of whatever leaves a callback
+            self._failed = error
+            return
         print(path)
 
     def spin(self) -> int:
-        """Works until every camera sent an image; returns 1 where one did not within ``timeout``."""
-        deadline = time.monotonic() + self._config.timeout
-        spin_while(self, lambda: self._is_waiting and time.monotonic() < deadline)
-        if not self._is_waiting:
-            return 0
-        if time.monotonic() >= deadline:
-            what = f"no image on {', '.join(self._missing)}" if self._scene_seen else "no scene: is a simulation running?"
-            print(f"error: {what} (waited {self._config.timeout:g} s)", file=sys.stderr)
-        return 1
+        """Works until every camera sent an image; returns the exit code.
+
+        Raises:
+            GibsonSimError: there is no simulation within ``timeout``, or then no image of a camera; or an image cannot be written.
+        """
+        timeout_s = self._config.timeout
+        simulation = Awaited.simulation(self, names.SCENE, timeout_s)
+        spin_while(self, lambda: not (simulation.look() and self._scene_seen))
+        images = Awaited(self, self._missing_images, lambda: not self._is_waiting, timeout_s=timeout_s)
+        spin_while(self, lambda: self._failed is None and not images.look())
+        if self._failed is not None:
+            raise self._failed
+        return 1 if self._is_waiting else 0
+
+    def _missing_images(self) -> str:
+        return f"an image on {', '.join(self._missing)}"
 
     @property
     def _is_waiting(self) -> bool:

@@ -25,6 +25,8 @@ class StampedCommands:
     def __init__(self, node: Node) -> None:
         self._owner = node
         self._arrived: deque[str] = deque()
+        self.types: dict[str, type[Any]] = {}
+        """Resolved topic -> type of its messages here, of what ``subscribe`` was called for."""
         self.wake: Callable[[], Any] = lambda: None
         """Is called in the thread of this class when something arrived."""
         self._context = rclpy.Context()
@@ -44,6 +46,7 @@ class StampedCommands:
     def subscribe(self, kind: type[Any], topic: str, commands: deque[tuple[str, Any]]) -> Any:
         """Returns a subscription that puts (topic, message) of what arrives on a topic of the owner into ``commands``."""
         topic = self._owner.resolve_topic_name(topic)
+        self.types[topic] = kind
 
         def take(msg: Any) -> None:
             commands.append((topic, msg))

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, Twist
@@ -24,11 +22,11 @@ from gibson_msgs.msg import Contacts, GraspState, Scene, SceneState as RosSceneS
 from gibson_sim.client_config import TaskConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.ros import conversions, names, qos
+from gibson_sim.ros.awaited import Awaited
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.lockstep_client import LockstepParticipant
 from gibson_sim.ros.node_main import goes_on, run_node
 from gibson_sim.ros.params import config_from_parameters
-from gibson_sim.scenes.spec import WORLD_FRAME
 from gibson_sim.tasks.controls import finger_joints
 from gibson_sim.tasks.episode import Action, Episode, Item, View, item_root, view_of
 from gibson_sim.tasks.ground import ground_of
@@ -36,9 +34,9 @@ from gibson_sim.tasks.metrics import Meter, Metrics, episode_line, episode_value
 from gibson_sim.tasks.registry import check_baseline, task_of
 from gibson_sim.tasks.run import CONTROL_HZ, SETTLE_S
 from gibson_sim.tasks.task import Policy
-from gibson_sim.types import NS_PER_S, Contact, Pose, SceneState, Vec3
+from gibson_sim.types import NS_PER_S, WORLD_FRAME, Contact, Pose, SceneState, Vec3
+from gibson_sim.writing import write_file
 
-PATIENCE_S = 60.0
 """Wall time after which a simulation that does not answer is given up."""
 GOAL, INFO, RESULT, RESET = "task/goal", "task/info", "task/result", "task/reset"
 _PERIOD_NS = NS_PER_S // CONTROL_HZ
@@ -166,7 +164,9 @@ class TaskNode(Node):
         Raises:
             GibsonSimError: no simulation answers, or it is not the one that is needed.
         """
-        self._wait(lambda: self._state is not None, "scene_state of a simulation: does one run in this ROS domain?")
+        simulation = Awaited.simulation(self, names.SCENE_STATE, self._config.timeout)
+        self._wait_for(simulation)
+        self._wait(lambda: self._state is not None, "a message on scene_state")
         expected = self._ground.scene.name
         if self._scene_name != expected:
             raise GibsonSimError(
@@ -328,12 +328,12 @@ class TaskNode(Node):
             raise GibsonSimError(f"{client.srv_name}: {result.error_message}")
 
     def _wait(self, condition: Callable[[], bool], what: str) -> None:
-        deadline = time.monotonic() + PATIENCE_S
-        while not condition():
+        self._wait_for(Awaited(self, what, condition, timeout_s=self._config.timeout))
+
+    def _wait_for(self, awaited: Awaited) -> None:
+        while not awaited.look():
             if not goes_on():
                 raise KeyboardInterrupt
-            if time.monotonic() > deadline:
-                raise GibsonSimError(f"still no {what} (waited {PATIENCE_S:.0f} s)")
             self._executor.spin_once(timeout_sec=0.1)
 
     def _report(self) -> None:
@@ -342,7 +342,7 @@ class TaskNode(Node):
         if self._config.output:
             episodes = [{"seed": self._config.seed + k, **episode_values(m)} for k, m in enumerate(self._results)]
             found = {"task": self._task.name, "baseline": self._config.baseline, **episode_values(total), "all": episodes}
-            Path(self._config.output).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+            write_file(self._config.output, json.dumps(found, indent=1) + "\n")
 
     def close(self) -> None:
         """Ends the executor; what was spawned stays for whoever looks at it."""

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
+from geometry_msgs.msg import TwistStamped
 from rclpy.node import Node
 from rosgraph_msgs.msg import Clock as ClockMsg
 
@@ -37,6 +38,8 @@ class _Step(NamedTuple):
     """Number of the tick that it is; None = it is none."""
     has_clock: bool
     """Whether /clock is published at it, whatever else is."""
+    applied: Mapping[str, Sequence[TwistStamped]]
+    """Velocity commands that took effect with it, by the names of the robots; only those that have any."""
 
 
 class TickPublisher:
@@ -64,13 +67,21 @@ class TickPublisher:
         self._contacts = ContactsPublisher(node, config)
         self._clock_message = FastClock()
         self._clock_pub = node.create_publisher(ClockMsg, names.CLOCK, **qos.overridable(qos.CLOCK))
+        self._clock_ns = 0
+        """Stamp of the last /clock."""
         self._held: list[tuple[_Step, _Measured]] = []
         self._last_measured: _Measured = {}
 
     def publish_clock(self, stamp_ns: int) -> None:
         """Publishes what time it is."""
+        self._clock_ns = stamp_ns
         if self._clock_pub.get_subscription_count():
             self._clock_pub.publish(self._clock_message.serialize(stamp_ns))
+
+    def end_clock(self, stamp_ns: int) -> None:
+        """Publishes at what time the run ended, if none was published at that step."""
+        if stamp_ns != self._clock_ns:
+            self.publish_clock(stamp_ns)
 
     def publish(self, world: PhysicsWorld) -> None:
         """Publishes what is due at the step that was just made."""
@@ -111,7 +122,9 @@ class TickPublisher:
         step, config = world.step_count, self._config
         tick, beside = divmod(step, config.step_hz // config.publish_hz)
         asked_for = self._simulator.state is not SimulationState.PLAYING
-        return _Step(world.stamp_ns, None if beside else tick, asked_for or is_due(step, config.clock_hz, config.step_hz))
+        has_clock = asked_for or is_due(step, config.clock_hz, config.step_hz)
+        applied = {name: commands for name, robot in self._robots.items() if (commands := robot.pop_applied())}
+        return _Step(world.stamp_ns, None if beside else tick, has_clock, applied)
 
     def _measured(self, world: PhysicsWorld) -> _Measured:
         return {name: robot.measure(world, all_of_it=self._digests is not None) for name, robot in self._robots.items()}
@@ -139,8 +152,11 @@ class TickPublisher:
             robot.publish_odometry(world)
 
     def _publish_rest(self, step: _Step, measured: _Measured, begun: tuple[SceneState, tuple[CameraSpec, ...]] | None) -> None:
-        if begun is None and (step.has_clock or any(measured.values())):
+        if begun is None and (step.has_clock or step.applied or any(measured.values())):
             self.publish_clock(step.stamp_ns)
+        for name, commands in step.applied.items():
+            if name in self._robots:
+                self._robots[name].publish_applied(commands)
         for name, measurements in measured.items():
             if measurements and name in self._robots:
                 self._robots[name].publish_sensors(measurements, self._digests)

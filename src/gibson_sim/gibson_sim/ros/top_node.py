@@ -7,13 +7,13 @@ import os
 import shutil
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.executors import Executor, ExternalShutdownException
+from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
@@ -22,7 +22,7 @@ from gibson_sim.bags.stamps import stamp_ns
 from gibson_sim.ros import names
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.message_types import UNKNOWN, message_class
-from gibson_sim.ros.node_main import keep_large_blocks
+from gibson_sim.ros.node_main import goes_on, run_node
 from gibson_sim.ros.top_view import Status, TopicRate, View, render
 from gibson_sim.types import NS_PER_S
 
@@ -60,26 +60,45 @@ class TopNode(Node):
         all topics, as bytes, where their rates are asked for. It counts as a subscriber: what is made on demand is made for it.
     """
 
-    def __init__(self, topics: bool) -> None:
-        """Subscribes. ``topics`` asks for the rates of all topics."""
+    def __init__(self, topics: bool, how: Mapping[str, Any] | None = None) -> None:
+        """Subscribes. ``topics`` asks for the rates of all topics; ``how``: arguments of ``watch``, for ``spin``."""
         super().__init__("top", start_parameter_services=False)
+        self._how = how or {}
+        self._executor: Executor | None = None
         self._statuses: dict[str, tuple[Status, int]] = {}
+        self._sources: set[frozenset[str]] = set()
         self._stamp_ns: int | None = None
         self._counts: dict[str, _Count] | None = {} if topics else None
         self._mark = _Mark()
         self.create_subscription(DiagnosticArray, names.DIAGNOSTICS, self._on_diagnostics, _LISTEN)
         self.create_subscription(Clock, names.CLOCK, self._on_clock, _NEWEST, raw=True)
 
+    def spin(self) -> int:
+        """Shows what there is; returns the exit code."""
+        self._executor = make_executor()
+        self._executor.add_node(self)
+        try:
+            return watch(self, self._executor, **self._how)
+        except BrokenPipeError:  # `gibson-sim top | head`
+            sys.stderr.close()
+            return 0
+
+    def close(self) -> None:
+        """Ends the executor."""
+        if self._executor is not None:
+            self._executor.shutdown()
+
     def simulation_runs(self) -> bool:
         """Returns whether anybody publishes /clock in this domain."""
         return bool(self.count_publishers(names.CLOCK))
 
     def has_reports(self) -> bool:
-        """Returns whether a node has reported."""
-        return bool(self._statuses)
+        """Returns whether as many nodes have reported as publish /diagnostics; each is known by the names of its statuses."""
+        return 0 < self.count_publishers(names.DIAGNOSTICS) <= len(self._sources)
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         now = time.monotonic_ns()
+        self._sources.add(frozenset(status.name for status in msg.status))
         for status in msg.status:
             values = tuple((pair.key, pair.value) for pair in status.values)
             # The message field is one byte long.
@@ -137,13 +156,13 @@ def watch(node: TopNode, executor: Executor, *, once: bool, patience_s: float, p
             return _no_simulation(node, patience_s)
         _work(executor, 0.1)
     deadline = time.monotonic() + patience_s
-    while once and not node.has_reports() and time.monotonic() < deadline:
-        _work(executor, 0.1)
     node.follow_topics()
     node.look()
     seen = time.monotonic()
-    while rclpy.ok():
+    while goes_on():
         _work(executor, period_s)
+        while once and goes_on() and not node.has_reports() and time.monotonic() < deadline:
+            _work(executor, 0.1)
         if node.simulation_runs():
             seen = time.monotonic()
         elif time.monotonic() - seen > patience_s:
@@ -166,7 +185,7 @@ def _no_simulation(node: TopNode, patience_s: float) -> int:
 
 def _work(executor: Executor, seconds: float) -> None:
     deadline = time.monotonic() + seconds
-    while (left := deadline - time.monotonic()) > 0 and rclpy.ok():
+    while (left := deadline - time.monotonic()) > 0 and goes_on():
         executor.spin_once(timeout_sec=left)
 
 
@@ -183,21 +202,7 @@ def _show(view: View, *, live: bool) -> None:
 def main() -> None:
     """Shows what the JSON on the command line asks for: ``once``, ``topics``, ``patience_s``, ``period_s``."""
     options = json.loads(sys.argv[1])
-    keep_large_blocks()
-    rclpy.init(args=[])
-    node, code = TopNode(options.pop("topics")), 0
-    executor = make_executor()
-    executor.add_node(node)
-    try:
-        code = watch(node, executor, **options)
-    except (KeyboardInterrupt, ExternalShutdownException):
-        pass
-    except BrokenPipeError:  # `gibson-sim top | head`
-        sys.stderr.close()
-    executor.shutdown()
-    node.destroy_node()
-    rclpy.try_shutdown()
-    sys.exit(code)
+    run_node(lambda: TopNode(options.pop("topics"), options), [])
 
 
 if __name__ == "__main__":

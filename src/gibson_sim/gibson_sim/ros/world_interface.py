@@ -23,11 +23,11 @@ from gibson_sim.scenes.floor_extent import extent_of_scene
 from gibson_sim.scenes.floor_map import scene_floor_map
 from gibson_sim.scenes.load_views import read_views
 from gibson_sim.scenes.randomise import Rules, randomise
-from gibson_sim.scenes.spec import WORLD_FRAME, DrawnScene, SceneSpec, drawn_scene
+from gibson_sim.scenes.spec import DrawnScene, SceneSpec, drawn_scene
 from gibson_sim.scenes.view_links import Views
 from gibson_sim.scenes.views import FloorExtent
 from gibson_sim.sensors.schedule import is_due
-from gibson_sim.types import CameraSpec, SceneState as State
+from gibson_sim.types import WORLD_FRAME, CameraSpec, SceneState as State
 
 logger = logging.getLogger(__name__)
 _MAP_HEIGHT = 0.5

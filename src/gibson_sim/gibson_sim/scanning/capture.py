@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -27,10 +26,12 @@ from numpy.typing import NDArray
 
 from gibson_sim import __version__
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pose_from_matrix, pose_from_xyz_rpy
+from gibson_sim.picture_files import write_picture
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scanning.clean_scene import sample_surface, solid_triangles, still_scene
 from gibson_sim.scanning.defects import image_effects, measured_depth, measured_poses
-from gibson_sim.scanning.layouts import DESCRIPTION, FORMAT, read_json, write_intrinsics
+from gibson_sim.scanning.intrinsics_files import write_intrinsics
+from gibson_sim.scanning.layouts import DESCRIPTION, FORMAT, read_json
 from gibson_sim.scanning.posed_rgbd import Intrinsics, ScanError, depth_units
 from gibson_sim.scanning.route import View, plan_views
 from gibson_sim.scanning.settings import Defects, ScanCamera, TourSettings
@@ -38,6 +39,7 @@ from gibson_sim.scanning.stations import candidates, choose_stations, find_store
 from gibson_sim.scanning.trajectories import write_stamped_poses, write_trajectory_log
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import NS_PER_S, CameraSpec, Frame, Output, SceneState
+from gibson_sim.writing import write_file
 
 F64 = NDArray[np.float64]
 Progress = Callable[[float], None]
@@ -180,8 +182,8 @@ class _Scanner:
         depth = measured_depth(frame, defects, shiny, seed, number)
         assert frame.rgb is not None
         quality = [cv2.IMWRITE_JPEG_QUALITY, defects.jpeg_quality]
-        _write_image(_color_path(self._folder, number), frame.rgb[:, :, ::-1], quality)
-        _write_image(_depth_path(self._folder, number), depth_units(depth, DEPTH_SCALE), [])
+        write_picture(_color_path(self._folder, number), frame.rgb[:, :, ::-1], quality, durable=False)
+        write_picture(_depth_path(self._folder, number), depth_units(depth, DEPTH_SCALE), durable=False)
 
 
 def mounts(tour: TourSettings) -> list[F64]:
@@ -245,7 +247,7 @@ def _begin(folder: Path, scene: SceneSpec, settings: ScanSettings, plan: ScanPla
         **_described(scene, settings), "frames": len(true), "stations": plan.stations, "coverage": plan.coverage,
         "views": [list(asdict(v).values()) for v in plan.views],
     }  # fmt: skip
-    _replace(folder / DESCRIPTION, json.dumps(described, indent=1).encode())
+    write_file(folder / DESCRIPTION, json.dumps(described, indent=1))
 
 
 def intrinsics_of(camera: ScanCamera) -> Intrinsics:
@@ -267,18 +269,3 @@ def _color_path(folder: Path, number: int) -> Path:
 
 def _depth_path(folder: Path, number: int) -> Path:
     return folder / "depth" / f"{number:06d}.png"
-
-
-def _write_image(path: Path, image: NDArray[Any], options: list[int]) -> None:
-    _, data = cv2.imencode(path.suffix, image, options)
-    _replace(path, data.tobytes())
-
-
-def _replace(path: Path, data: bytes) -> None:
-    """Writes a file so that it is there as a whole or not at all."""
-    draft = path.with_name(f".{path.name}.part")
-    try:
-        draft.write_bytes(data)
-        os.replace(draft, path)
-    except OSError as error:
-        raise ScanError(f"{path}: cannot be written: {error.strerror or error}") from error

@@ -10,15 +10,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.geometry.patches import flat_patches
 from gibson_sim.geometry.transforms import Mat4, transform_points
+from gibson_sim.geometry.upright import find_candidates
 from gibson_sim.scanning.posed_rgbd import ScanError
 from gibson_sim.scenes.collision.triangles import components, simplified_triangles
+from gibson_sim.writing import write_file
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
-_LEVEL_DEG = (35.0, 15.0, 7.0)
-"""Surfaces whose normal is this near to what was taken for up decide what is up, round after round."""
+_CAMERA_DEG = 50.0
+"""Up is this near to the mean of the cameras' -y: many look down most of the time."""
+_LEVEL_SHARE = 0.02
+"""Of the surface: less is no floor."""
+_FLOOR_DEG = 15.0
+"""Triangles whose normal is this near to up may be floor."""
 _FLOOR_BIN = 0.02
 _FLOOR_SHARE = 0.25
 """Of the level area at the height where most of it is: the lowest height with as much is the floor's."""
@@ -92,28 +99,31 @@ def _subset(mesh: ColouredMesh, triangles: NDArray[Any]) -> ColouredMesh:
 def level_transform(mesh: ColouredMesh, poses: F64) -> Mat4:
     """Returns T_level_world, (4, 4): z up, the floor at z = 0, with as little turning as that takes.
 
-    Scans of others begin where the camera was. Cameras are held upright more or less, so up is near the mean of their -y; surfaces that
-    face nearly there, floors and tables, decide the rest.
+    Scans of others begin where the camera was. Cameras are held upright more or less, so up is near the mean of their -y; what is level
+    near there decides the rest, by the measure that ``gibson-sim scene check`` has.
 
     Args:
         mesh: in the frame of the scan.
         poses: T_world_camera, (N, 4, 4), optical.
 
     Raises:
-        ScanError: the mesh has no level surface.
+        ScanError: the mesh has no level surface that faces up.
     """
     up = -poses[:, :3, 1].mean(axis=0)
     up /= max(float(np.linalg.norm(up)), 1e-9)
-    crosses = mesh.crosses()
-    lengths = np.linalg.norm(crosses, axis=1)
-    for angle in _LEVEL_DEG:
-        alike = crosses @ up > math.cos(math.radians(angle)) * lengths
-        total = crosses[alike].sum(axis=0)
-        if not np.linalg.norm(total) > 0.0:
-            raise ScanError("the mesh has no level surface, so up cannot be found; leave out --level")
-        up = total / np.linalg.norm(total)
+    patches = flat_patches(mesh.vertices.astype(np.float64), mesh.triangles, np.random.default_rng(0))
+    found = [] if patches is None else find_candidates(patches)
+    near = [c for c in found if float(np.asarray(c.up) @ up) > math.cos(math.radians(_CAMERA_DEG)) and c.area > _LEVEL_SHARE]
+    if not near:
+        raise ScanError("the mesh has no level surface, so up cannot be found; leave out --level")
+    up = np.asarray(near[0].up)
     T = np.eye(4)
     T[:3, :3] = _turn_to_z(up)
+    crosses = mesh.crosses()
+    lengths = np.linalg.norm(crosses, axis=1)
+    alike = crosses @ up > math.cos(math.radians(_FLOOR_DEG)) * lengths
+    if not alike.any():
+        raise ScanError("the mesh has no surface that faces up, so its floor cannot be found; leave out --level")
     heights = transform_points(T, mesh.vertices[mesh.triangles[alike]].mean(axis=1))[:, 2]
     edges = np.arange(heights.min() - _FLOOR_BIN, heights.max() + 2 * _FLOOR_BIN, _FLOOR_BIN)
     level, _ = np.histogram(heights, edges, weights=lengths[alike])
@@ -141,7 +151,7 @@ def write_ply(path: Path, mesh: ColouredMesh) -> None:
     """Writes a binary PLY with colours of vertices, as most programs read it.
 
     Raises:
-        ScanError: it cannot be written.
+        WriteError: it cannot be written.
     """
     vertex = np.empty(len(mesh.vertices), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)])
     vertex["xyz"], vertex["rgb"] = mesh.vertices, mesh.colors
@@ -152,8 +162,4 @@ def write_ply(path: Path, mesh: ColouredMesh) -> None:
         *(f"property uchar {color}" for color in ("red", "green", "blue")), f"element face {len(face)}",
         "property list uchar int vertex_indices", "end_header\n",
     ]  # fmt: skip
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes("\n".join(header).encode() + vertex.tobytes() + face.tobytes())
-    except OSError as error:
-        raise ScanError(f"{path}: cannot be written: {error.strerror or error}") from error
+    write_file(path, "\n".join(header).encode() + vertex.tobytes() + face.tobytes())

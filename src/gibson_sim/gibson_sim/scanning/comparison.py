@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -60,7 +60,13 @@ class Comparison:
 
 
 def compare(
-    mesh: ColouredMesh, rgbd: PosedRgbd, scene: SceneSpec, distance: Distance, progress: Callable[[float], None] = lambda _: None
+    mesh: ColouredMesh,
+    rgbd: PosedRgbd,
+    scene: SceneSpec,
+    distance: Distance,
+    progress: Callable[[float], None] = lambda _: None,
+    *,
+    frames: Sequence[int] | None = None,
 ) -> Comparison:
     """Returns how a mesh differs from the clean scene, both in the frame of the scene.
 
@@ -70,11 +76,12 @@ def compare(
         scene: what was scanned.
         distance: measures points against a mesh.
         progress: told how much is done, 0 to 1.
+        frames: numbers of those that were fused; None = all.
     """
     rng = np.random.default_rng(0)
     vertices, triangles = solid_triangles(scene)
     clean = sample_surface(vertices, triangles, POINTS, rng)
-    shown = shown_points(clean, rgbd, progress)
+    shown = shown_points(clean, rgbd, progress, frames)
     own = sample_surface(mesh.vertices.astype(np.float64), mesh.triangles, POINTS, rng)
     there = distance(own.points, vertices, triangles)
     back = distance(clean.points[shown], mesh.vertices, mesh.triangles) if shown.any() else np.array([np.inf], dtype=np.float32)
@@ -89,16 +96,20 @@ def compare(
     )
 
 
-def shown_points(surface: Surface, rgbd: PosedRgbd, progress: Callable[[float], None] = lambda _: None) -> Bools:
-    """Returns which points of a surface, (N,), at least one depth image shows to within 5 cm."""
+def shown_points(
+    surface: Surface, rgbd: PosedRgbd, progress: Callable[[float], None] = lambda _: None, frames: Sequence[int] | None = None
+) -> Bools:
+    """Returns which points of a surface, (N,), at least one depth image, of ``frames`` or of all, shows to within 5 cm."""
     true = rgbd.folder / "true_poses.txt"
     poses = _true_poses(true, rgbd) if true.is_file() else rgbd.poses
     shown = np.zeros(len(surface), dtype=bool)
-    for number, frame in enumerate(rgbd):
+    numbers = range(len(rgbd)) if frames is None else frames
+    for done, number in enumerate(numbers):
+        frame = rgbd[number]
         left = ~shown
         rest = Surface(surface.points[left], surface.normals[left])
         shown[left] = seen_points(rest, frame.depth, rgbd.intrinsics.matrix, poses[number], NEAR)
-        progress((number + 1) / len(rgbd))
+        progress((done + 1) / len(numbers))
     return shown
 
 

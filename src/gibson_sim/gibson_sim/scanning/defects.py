@@ -91,8 +91,8 @@ def _spoil_edges(true: F32, depth: F32, defects: Defects, rng: np.random.Generat
         low = cv2.erode(near, np.ones((3, 3), np.uint8))
         high = cv2.dilate(np.where(np.isfinite(true), true, np.float32(0.0)), np.ones((3, 3), np.uint8))
         part = rng.random(depth.shape, dtype=np.float32)
-        between = low + part * (high - low)
-        depth[flies] = between[flies]
+        # Only there: away from edges nothing may have a depth, and an infinity less an infinity is a warning of numpy.
+        depth[flies] = low[flies] + part[flies] * (high[flies] - low[flies])
 
 
 def _loss(frame: Frame, defects: Defects, shiny: Bools | None) -> F32 | None:

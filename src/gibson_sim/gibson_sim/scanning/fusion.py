@@ -44,6 +44,11 @@ def open3d() -> Any:
     return package
 
 
+def chosen_frames(rgbd: PosedRgbd, settings: FuseSettings) -> range:
+    """Returns the numbers of the frames that are fused."""
+    return range(0, len(rgbd), settings.stride)
+
+
 def fuse(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _: None) -> ColouredMesh:
     """Returns the surface that posed RGB-D shows, in its world frame (or levelled): a truncated signed distance field, then its triangles.
 
@@ -65,7 +70,7 @@ def fuse(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _:
     # Open3D takes the pixel that a projected point lies in by cutting off decimals, as if centres were at halves; ours are whole numbers.
     K = core.Tensor(rgbd.intrinsics.matrix + np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]))
     reach = (rgbd.depth_scale, settings.depth_max, settings.truncation)
-    chosen = range(0, len(rgbd), settings.stride)
+    chosen = chosen_frames(rgbd, settings)
     for done, number in enumerate(chosen):
         frame = rgbd[number]
         units = depth_units(frame.depth, rgbd.depth_scale)

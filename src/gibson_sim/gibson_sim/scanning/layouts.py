@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.scanning.intrinsics_files import INTRINSIC_FILES, find_intrinsics
 from gibson_sim.scanning.posed_rgbd import FrameFiles, Intrinsics, PosedRgbd, ScanError, check_pose, read_image
 from gibson_sim.scanning.trajectories import associate, numbers_of, pose_at, read_lines, read_stamped_poses, read_trajectory_log
 
@@ -29,7 +30,6 @@ TIME_TOLERANCE_S = 0.02
 """TUM: colour, depth and pose this near in time belong together."""
 _IMAGES = (".jpg", ".jpeg", ".png")
 _COLOR_FOLDERS = ("color", "image", "rgb")
-_INTRINSIC_FILES = ("intrinsic.json", "camera_intrinsic.json", "intrinsics.json", "camera_intrinsics.json")
 _LOG_FILES = ("trajectory.log", "scene/trajectory.log", "test_scene/trajectory.log")
 _PRIMESENSE = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
 _SEVEN_SCENES = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
@@ -206,45 +206,26 @@ def _finished(
     if not files:
         raise ScanError(f"{folder}: has no frame")
     height, width = read_image(files[0].depth, cv2.IMREAD_UNCHANGED).shape[:2]
-    path = next((folder / name for name in _INTRINSIC_FILES if (folder / name).is_file()), None)
     if options.focal is not None:
         intrinsics = Intrinsics(width, height, *options.focal)
-    elif path is not None:
-        intrinsics = _read_intrinsics(path)
-    elif assumed is not None:
-        intrinsics = assumed
-        text = f"fx {assumed.fx:g} fy {assumed.fy:g} cx {assumed.cx:g} cy {assumed.cy:g}"
-        warnings = (*warnings, f"has no {_INTRINSIC_FILES[0]}: took those of the {layout} camera, {text}")
     else:
-        raise ScanError(f"{folder}: has no {_INTRINSIC_FILES[0]}; add it, or give --intrinsics fx,fy,cx,cy")
+        found, file, ignored = find_intrinsics(folder, width, height)
+        warnings = (*warnings, *ignored)
+        known = found or assumed
+        if known is None:
+            raise ScanError(f"{folder}: has no {INTRINSIC_FILES[0]}; add it, or give --intrinsics fx,fy,cx,cy")
+        intrinsics = known
+        text = f"fx {intrinsics.fx:g} fy {intrinsics.fy:g} cx {intrinsics.cx:g} cy {intrinsics.cy:g}"
+        if found is None:
+            warnings = (*warnings, f"has no {INTRINSIC_FILES[0]}: took those of the {layout} camera, {text}")
+        elif file not in INTRINSIC_FILES:
+            warnings = (*warnings, f"intrinsics are those of {file}: {text}")
     if (intrinsics.width, intrinsics.height) != (width, height):
         raise ScanError(
             f"{files[0].depth}: has {width}x{height} pixels, the intrinsics are for {intrinsics.width}x{intrinsics.height}; "
             "give those of this size with --intrinsics fx,fy,cx,cy"
         )
     return PosedRgbd(folder, layout, intrinsics, options.depth_scale or depth_scale, tuple(files), warnings)
-
-
-def _read_intrinsics(path: Path) -> Intrinsics:
-    """Returns what a file in Open3D's format says: width, height, and intrinsic_matrix, nine numbers by columns."""
-    values = read_json(path)
-    try:
-        m = [float(value) for value in values["intrinsic_matrix"]]
-        size = int(values["width"]), int(values["height"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise ScanError(f"{path}: must have width, height and intrinsic_matrix, nine numbers by columns") from error
-    if len(m) != 9 or (m[1], m[2], m[5], m[8]) != (0.0, 0.0, 0.0, 1.0) or m[3] != 0.0:
-        raise ScanError(f"{path}: intrinsic_matrix is {m}, must be fx 0 0 0 fy 0 cx cy 1, pixels")
-    return Intrinsics(*size, m[0], m[4], m[6], m[7])
-
-
-def write_intrinsics(path: Path, intrinsics: Intrinsics) -> None:
-    """Writes intrinsics in Open3D's format."""
-    columns = [float(value) for value in intrinsics.matrix.T.ravel()]
-    path.write_text(
-        json.dumps({"width": intrinsics.width, "height": intrinsics.height, "intrinsic_matrix": columns}, indent=1) + "\n",
-        encoding="utf-8",
-    )
 
 
 def _read_matrix(path: Path) -> F64:

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from gibson_sim.geometry.interpolation import slerp
 from gibson_sim.geometry.transforms import matrices_from_poses, quat_from_matrix
 from gibson_sim.scanning.posed_rgbd import ScanError, check_pose
+from gibson_sim.writing import write_file
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -77,7 +78,7 @@ def write_trajectory_log(path: Path, poses: ArrayLike) -> None:
     for number, pose in enumerate(np.asarray(poses, dtype=np.float64)):
         lines.append(f"{number} {number} {number + 1}")
         lines += [" ".join(f"{value:.10f}" for value in row) for row in pose]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_file(path, "\n".join(lines) + "\n")
 
 
 def read_stamped_poses(path: Path) -> tuple[F64, F64]:
@@ -113,7 +114,7 @@ def write_stamped_poses(path: Path, stamps: ArrayLike, poses: ArrayLike) -> None
     for stamp, pose in zip(np.asarray(stamps, dtype=np.float64), np.asarray(poses, dtype=np.float64), strict=True):
         values = (*pose[:3, 3], *quat_from_matrix(pose[:3, :3]))
         lines.append(f"{stamp:.6f} " + " ".join(f"{value:.9f}" for value in values))
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_file(path, "\n".join(lines) + "\n")
 
 
 def associate(first: ArrayLike, second: ArrayLike, tolerance_s: float) -> I64:

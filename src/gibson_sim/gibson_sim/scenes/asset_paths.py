@@ -11,6 +11,8 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 from gibson_sim.errors import GibsonSimError, SceneNotFoundError
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import exists, is_folder
 from gibson_sim.resources import find_robot, find_scene, share_folders
 from gibson_sim.robots.spec import VisualSpec
 from gibson_sim.scenes.load import load_scene
@@ -33,7 +35,7 @@ def with_local_files(scene: DrawnScene, folders: Sequence[tuple[str, str]] = ())
 
     def local(path: str) -> str:
         if path and path not in found:
-            found[path] = path if Path(path).exists() else str(_located(path, folders))
+            found[path] = path if exists(Path(path)) else str(_located(path, folders))
         return found[path] if path else path
 
     visuals = tuple(_visual(visual, local(visual.shape.mesh), local(_picture(visual))) for visual in scene.visuals)
@@ -59,14 +61,14 @@ def _located(path: str, folders: Sequence[tuple[str, str]]) -> Path:
     for there, here in folders:
         if PurePosixPath(path).is_relative_to(there):
             candidate = Path(here).expanduser() / PurePosixPath(path).relative_to(there)
-            if candidate.exists():
+            if exists(candidate):
                 return candidate
     for kind, name, tail in _named(path):
         try:
             folder = _folder(kind, name)
         except GibsonSimError:
             continue
-        if (folder / tail).exists():
+        if exists(folder / tail):
             return folder / tail
     raise SceneNotFoundError(
         f"{path} is a file of the physics node's machine and is not found on this one: map its folder with the setting 'asset_roots' "
@@ -84,9 +86,9 @@ def _named(path: str) -> list[tuple[str, str, PurePosixPath]]:
 
 def _folder(kind: str, name: str) -> Path:
     if kind == "objects":
-        return next((share / kind / name for share in share_folders() if (share / kind / name).exists()), Path(name))
+        return next((share / kind / name for share in share_folders() if exists(share / kind / name)), Path(name))
     found = find_scene(name) if kind == "scenes" else find_robot(name)
-    return found if found.is_dir() else found.parent
+    return found if is_folder(found) else found.parent
 
 
 def _difference(scene: DrawnScene, found: dict[str, str]) -> tuple[str, ...]:
@@ -101,10 +103,10 @@ def _difference(scene: DrawnScene, found: dict[str, str]) -> tuple[str, ...]:
         try:
             same = load_scene(name).content_hash == scene.content_hash
         except GibsonSimError as error:
-            return (f"{here} stands for {there}, but scene {name!r} cannot be compared: {error}",)
+            return (f"{here} stands for {there}, but scene {quoted(name)} cannot be compared: {error}",)
         return (
             ()
             if same
-            else (f"{here} stands for {there}, but scene {name!r} differs between the two machines: pictures may be wrong",)
+            else (f"{here} stands for {there}, but scene {quoted(name)} differs between the two machines: pictures may be wrong",)
         )
     return ()

@@ -13,15 +13,18 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError, SceneNotFoundError
 from gibson_sim.geometry.transforms import pose_from_matrix, transform_points
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import is_file, read_file
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.omissions import Omission, OmissionKind, kind_of
 from gibson_sim.robots.spec import Look, Shape, VisualSpec
 from gibson_sim.scenes.collision.parts import scan_shapes
+from gibson_sim.scenes.file_roots import description_roots, is_inside, package_roots
 from gibson_sim.scenes.mesh import MeshLoader, shape_triangles
 from gibson_sim.scenes.mesh_types import TO_Z_UP, UpAxis, merge
 from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.scenes.spec import CollisionSpec, LightSpec, SceneSpec, StartPose
-from gibson_sim.scenes.textures import is_inside
+from gibson_sim.scenes.uris import environment_folders, is_registered
 from gibson_sim.types import Rgba, Vec3
 
 F64 = NDArray[np.float64]
@@ -37,18 +40,34 @@ class SceneBuilder:
     Args:
         name: of the scene.
         root: folder that its files lie in.
-        extra_roots: more folders that meshes may lie in, such as those of ``$GAZEBO_MODEL_PATH``.
+        extra_roots: more folders that they may lie in; None = they may lie anywhere.
+        environment: they may lie in the folders of the user's environment, too, such as those of ``$GAZEBO_MODEL_PATH``.
+        description: the file in ``root`` that describes the scene; where it is a link, the folder that ``root`` mirrors may hold the
+            files, too. None = it is no file.
         max_bytes: a larger mesh file is refused; None = any size.
     """
 
-    def __init__(self, name: str, root: Path, extra_roots: Sequence[Path] = (), *, max_bytes: int | None = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        root: Path,
+        extra_roots: Sequence[Path] | None = (),
+        *,
+        environment: bool = False,
+        description: Path | None = None,
+        max_bytes: int | None = None,
+    ) -> None:
         self.name = name
         self.description = ""
         self.root = Path(os.path.realpath(root))
-        self.roots = (self.root, *extra_roots)
+        self._places = (self.root,) if description is None else description_roots(root, description)
+        self._environment = environment
+        found = environment_folders() if environment else ()
+        self.roots: tuple[Path, ...] | None = None if extra_roots is None else (*self._places, *extra_roots, *found)
+        """Folders that the files of the scene must lie in; None = anywhere."""
         self.loader = MeshLoader(self.roots, textures=False, max_bytes=max_bytes)
         # Whoever read a body has checked where its files lie.
-        self._body_loader = MeshLoader((Path("/"),), textures=False, max_bytes=max_bytes)
+        self._body_loader = MeshLoader(None, textures=False, max_bytes=max_bytes)
         self.gravity: Vec3 = (0.0, 0.0, -9.81)
         self.ground_z: float | None = None
         self.floor_z: float | None = None
@@ -77,6 +96,22 @@ class SceneBuilder:
         if short not in self.warnings:
             self.warnings.append(short)
 
+    def admits(self, path: Path) -> bool:
+        """Returns whether a model or a mesh may be read: it lies in the roots, or it was named in a folder of the user's environment.
+
+        What is read there may name files of its own package, which then joins the roots.
+        """
+        if self.roots is None or is_inside(path, self.roots):
+            return True
+        if not (self._environment and is_registered(path)):
+            return False
+        self._add_roots(*package_roots(path))
+        return True
+
+    def _add_roots(self, *roots: Path) -> None:
+        if self.roots is not None:
+            self.roots = self.loader.roots = tuple(dict.fromkeys((*self.roots, *roots)))
+
     def add_text(self, text: str) -> None:
         """Makes a description that is no file part of the digest."""
         self._texts.append(text.encode("utf-8", errors="replace"))
@@ -84,7 +119,7 @@ class SceneBuilder:
     def read_bytes(self, path: Path) -> bytes:
         """Returns the content of a description file, which becomes part of the digest."""
         try:
-            data = path.read_bytes()
+            data = read_file(path)
         except OSError as e:
             raise SceneNotFoundError(f"{path}: cannot be read: {e.strerror or e}") from e
         self._files[Path(os.path.realpath(path))] = None
@@ -119,6 +154,7 @@ class SceneBuilder:
         Raises:
             MeshError: the mesh cannot be used.
         """
+        self.admits(path)  # the loader says what is wrong with a path that is not
         mesh = self.loader.mesh(path)
         for file in mesh.files:
             self._files[file] = None
@@ -157,9 +193,9 @@ class SceneBuilder:
             SceneError: it is missing or lies outside the scene's folders.
         """
         real = Path(os.path.realpath(path))
-        if not is_inside(real, self.roots):
+        if not self.admits(path):
             raise SceneError(f"{where}: environment {path} lies outside the scene's folder; put it inside")
-        if not real.is_file():
+        if not is_file(real):
             raise SceneError(f"{where}: environment {path} is missing; give an equirectangular .hdr, .png or .jpg")
         self._files[real] = None
         return str(real)
@@ -179,14 +215,14 @@ class SceneBuilder:
         for simple, pose in scan_shapes(transform_points(matrix, vertices), triangles, f"{self.name}: {unique}"):
             if simple.kind == "mesh":
                 # It lies in the user's cache, where we have written it.
-                self.loader.roots = (*self.loader.roots, Path(simple.mesh).parent)
+                self._add_roots(Path(simple.mesh).parent)
             self.collisions.append(CollisionSpec(unique, simple, pose))
 
     def finish(self) -> SceneSpec:
         """Returns the scene."""
         if not self.visuals and not self.collisions and self.ground_z is None:
             reason = f": {self.warnings[0]}" if self.warnings else ""
-            raise SceneError(f"scene {self.name!r}: nothing in it can be drawn or bumped into{reason}")
+            raise SceneError(f"scene {quoted(self.name)}: nothing in it can be drawn or bumped into{reason}")
         floor_z = self.floor_z
         if floor_z is None:
             triangles = merge([shape_triangles(self.loader, c) for c in self.collisions])
@@ -203,12 +239,17 @@ class SceneBuilder:
         for text in self._texts:
             total.update(f"\n{len(text)}\n".encode())
             total.update(text)
-        named = {os.path.relpath(p, self.root) if p.is_relative_to(self.root) else p.name: p for p in self._files}
+        named = {self._relative(p): p for p in self._files}
         for relative, path in sorted(named.items()):
             data = path.read_bytes()
             total.update(f"\n{Path(relative).as_posix()} {len(data)}\n".encode())
             total.update(data)
         return total.hexdigest()
+
+    def _relative(self, path: Path) -> str:
+        """Returns what a file is called in the digest: its place in the scene, which is the same in an installation made of links."""
+        inside = next((place for place in self._places if path.is_relative_to(place)), None)
+        return path.name if inside is None else os.path.relpath(path, inside)
 
 
 def _unique(name: str, taken: dict[str, int]) -> str:

@@ -10,8 +10,10 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from gibson_sim.errors import MeshError, SceneError
+from gibson_sim.errors import MeshError, SceneError, TextError
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import YAML_LOADER, parse_yaml
 from gibson_sim.robots.omissions import OmissionKind
 from gibson_sim.scenes.builder import SceneBuilder, class_from_model
 from gibson_sim.scenes.mesh import MESH_SUFFIXES
@@ -21,7 +23,7 @@ from gibson_sim.scenes.uris import UriResolver
 F64 = NDArray[np.float64]
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(YAML_LOADER):  # type: ignore[misc]
     """YAML with Drake's ``!Rpy`` and ``!AngleAxis``, read as mappings under these names."""
 
 
@@ -40,16 +42,18 @@ def read_drake_directives(builder: SceneBuilder, path: Path) -> None:
         SceneError: the file is no directives file.
     """
     try:
-        document = yaml.load(builder.read_bytes(path), Loader=_Loader)
-    except yaml.YAMLError as e:
-        raise SceneError(f"{path}: is no YAML: {' '.join(str(e).split())}") from e
+        document = parse_yaml(builder.read_bytes(path), _Loader)
+    except TextError as e:
+        raise SceneError(f"{path}: {e}").telling(e.public) from e
     directives = document.get("directives") if isinstance(document, dict) else None
     if not isinstance(directives, list):
         raise SceneError(f"{path}: has no list `directives`; is it a Drake model directives file?")
     reader = _Reader(builder, path)
     for directive in directives:
         if not isinstance(directive, dict) or len(directive) != 1:
-            builder.warn(f"{path}: directive {directive!r} is not one name with its content; left out", OmissionKind.INVALID)
+            builder.warn(
+                f"{path}: directive {quoted(directive)} is not one name with its content; left out", OmissionKind.INVALID
+            )
             continue
         ((name, content),) = directive.items()
         reader.directive(str(name), content if isinstance(content, dict) else {})
@@ -84,7 +88,7 @@ class _Reader:
         """Adds every model where its weld put it, or at the origin of the world."""
         for name, (element, file) in self._elements.items():
             if name not in self._poses:
-                self.builder.warn(f"{self.path}: model {name!r} is not welded to anything; it stands at the origin")
+                self.builder.warn(f"{self.path}: model {quoted(name)} is not welded to anything; it stands at the origin")
             matrix = self._poses.get(name, np.eye(4))
             if element is not None:
                 self.models.model(element, matrix, name, file.parent)
@@ -101,7 +105,7 @@ class _Reader:
         name, uri = str(content.get("name", "")), str(content.get("file", ""))
         file = self.uris.find(uri, self.path.parent) if uri else None
         if file is None:
-            self.builder.warn(f"model {name!r}: file {uri!r} is not there; left out", OmissionKind.MISSING_ASSET)
+            self.builder.warn(f"model {quoted(name)}: file {quoted(uri)} is not there; left out", OmissionKind.MISSING_ASSET)
             return
         if file.suffix.lower() in MESH_SUFFIXES:
             self._elements[name] = (None, file)
@@ -118,7 +122,7 @@ class _Reader:
         parent, child = str(content.get("parent", "world")), str(content.get("child", ""))
         model, _, frame = child.partition("::")
         if model not in self._elements:
-            self.builder.warn(f"{self.path}: weld of {child!r}: there is no such model; left out")
+            self.builder.warn(f"{self.path}: weld of {quoted(child)}: there is no such model; left out")
             return
         base = self._frame(parent)
         if base is None:
@@ -136,7 +140,7 @@ class _Reader:
             element = self._elements[model][0]
             within = np.eye(4) if element is None else self.models.frame(element, frame, f"model {model}")
             return self._poses.get(model, np.eye(4)) @ within
-        self.builder.warn(f"{self.path}: frame {name!r} is unknown; what is fixed to it is left where it is")
+        self.builder.warn(f"{self.path}: frame {quoted(name)} is unknown; what is fixed to it is left where it is")
         return None
 
     def _transform(self, content: dict[str, Any]) -> F64:
@@ -152,11 +156,11 @@ class _Reader:
             if "AngleAxis" in rotation:
                 matrix[:3, :3] = _axis_angle(rotation["AngleAxis"])
             elif rotation:
-                text = f"{self.path}: rotation {rotation!r} is not supported; taken as zero"
+                text = f"{self.path}: rotation {quoted(rotation)} is not supported; taken as zero"
                 self.builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
             return matrix
         except (TypeError, ValueError, KeyError, AttributeError) as e:
-            raise SceneError(f"{self.path}: transform {content!r} cannot be read: {e}") from e
+            raise SceneError(f"{self.path}: transform {quoted(content)} cannot be read: {e}") from e
 
 
 def _axis_angle(content: dict[str, Any]) -> F64:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
 from gibson_sim.scenes.builder import estimate_floor
-from gibson_sim.scenes.mesh import MeshLoader, collision_triangles
+from gibson_sim.scenes.mesh import MeshLoader, collision_triangles, mesh_folders
 from gibson_sim.scenes.mesh_types import merge
 from gibson_sim.scenes.rasterise import clip_to_slab
 from gibson_sim.scenes.spec import DrawnScene, SceneSpec
@@ -46,7 +46,7 @@ def extent_of_drawn(scene: DrawnScene, floor_z: float | None = None, roots: Sequ
         SceneError: a mesh cannot be read, or there is nothing at this height.
     """
     still = [visual for visual in scene.visuals if not visual.link]
-    folders = roots or sorted({Path(v.shape.mesh).parent for v in still if v.shape.kind == "mesh"})
+    folders = roots or mesh_folders(visual.shape for visual in still)
     loader = MeshLoader(folders, textures=False)
     pieces = []
     for visual in still:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -10,8 +11,10 @@ from pathlib import Path
 
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
+from gibson_sim.reading import is_file, read_file
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose
+from gibson_sim.writing import write_file
 
 FREE_POSES = "free_poses.csv"
 COLUMNS = ("floor", "x", "y", "z", "yaw", "room")
@@ -47,7 +50,7 @@ def scene_free_poses(scene: SceneSpec) -> tuple[FreePose, ...]:
         SceneError: the file is broken.
     """
     path = scene.root / FREE_POSES
-    return read_free_poses(path) if path.is_file() else ()
+    return read_free_poses(path) if is_file(path) else ()
 
 
 def read_free_poses(path: Path) -> tuple[FreePose, ...]:
@@ -57,9 +60,7 @@ def read_free_poses(path: Path) -> tuple[FreePose, ...]:
         SceneError: it cannot be read, or a line of it is wrong.
     """
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise SceneError(f"{path}: has {path.stat().st_size} bytes, must be at most {_MOST_BYTES}")
-        rows = list(csv.reader(path.read_text(encoding="utf-8").splitlines()))
+        rows = list(csv.reader(read_file(path, _MOST_BYTES).decode("utf-8").splitlines()))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise SceneError(f"{path}: cannot be read: {error}; write it anew with gibson-sim scene map SCENE --write") from error
     if not rows or tuple(rows[0]) != COLUMNS:
@@ -72,16 +73,14 @@ def write_free_poses(path: Path, poses: Iterable[FreePose]) -> None:
     """Writes a file of free poses: millimetres, and a ten-thousandth of a radian.
 
     Raises:
-        SceneError: it cannot be written.
+        WriteError: it cannot be written.
     """
-    try:
-        with path.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(COLUMNS)
-            for p in poses:
-                writer.writerow((p.floor, f"{p.x:.3f}", f"{p.y:.3f}", f"{p.z:.4f}", f"{p.yaw:.4f}", p.room))
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be written: {error.strerror or error}") from error
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for p in poses:
+        writer.writerow((p.floor, f"{p.x:.3f}", f"{p.y:.3f}", f"{p.z:.4f}", f"{p.yaw:.4f}", p.room))
+    write_file(path, text.getvalue())
 
 
 def _row(row: Sequence[str], where: str) -> FreePose:

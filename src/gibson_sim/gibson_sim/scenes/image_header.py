@@ -9,6 +9,8 @@ from dataclasses import dataclass
 MAX_PIXELS = 8192 * 8192
 """Of a texture: 200 MB as RGB. More than this is refused before it is decoded."""
 
+MAX_IMAGE_BYTES = 512 * 2**20
+"""Of the file of an image."""
 _JPEG_SIZES = {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
 _PNG_CHANNELS = {0: 3, 2: 3, 3: 4, 4: 4, 6: 4}
 _PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d+)\s+(\d+)")

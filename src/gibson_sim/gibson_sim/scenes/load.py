@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from gibson_sim.errors import SceneError, SceneNotFoundError
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import is_file, is_folder, read_file
 from gibson_sim.resources import find_scene
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.builder import SceneBuilder
@@ -20,7 +22,7 @@ from gibson_sim.scenes.mesh import MESH_SUFFIXES
 from gibson_sim.scenes.scene_yaml import read_scene_yaml
 from gibson_sim.scenes.sdf_world import read_sdf_world
 from gibson_sim.scenes.spec import SceneSpec
-from gibson_sim.scenes.uris import ancestors, environment_folders
+from gibson_sim.scenes.uris import ancestors
 
 _log = logging.getLogger(__name__)
 DESCRIPTION = "scene.yaml"
@@ -58,8 +60,8 @@ def read_scene(given: Path, file: Path, *, sdf_lamps: bool = False) -> SceneBuil
         SceneError: the description or a mesh is broken.
     """
     reader, root = reader_and_root(file, given)
-    name = given.name if given.is_dir() else file.parent.name if file.name == DESCRIPTION else file.name.split(".")[0]
-    builder = SceneBuilder(name, root, environment_folders() if reader is read_sdf_world else ())
+    name = given.name if is_folder(given) else file.parent.name if file.name == DESCRIPTION else file.name.split(".")[0]
+    builder = SceneBuilder(name, root, description=file, environment=reader is read_sdf_world)
     builder.sdf_lamps = sdf_lamps
     reader(builder, file)
     return builder
@@ -88,7 +90,7 @@ def with_robots(scene: SceneSpec, robots: Iterable[RobotSpec]) -> SceneSpec:
     names = [robot.name for robot in every]
     for name in names:
         if names.count(name) > 1:
-            raise SceneError(f"scene {scene.name!r}: robot name {name!r} is used twice; names must be unique")
+            raise SceneError(f"scene {quoted(scene.name)}: robot name {quoted(name)} is used twice; names must be unique")
     return dataclasses.replace(scene, robots=every)
 
 
@@ -98,9 +100,9 @@ def description_file(path: Path) -> Path:
     Raises:
         SceneNotFoundError: the folder holds no world, or several.
     """
-    if path.is_file():
+    if is_file(path):
         return path
-    if (path / DESCRIPTION).is_file():
+    if is_file(path / DESCRIPTION):
         return path / DESCRIPTION
     files = [Path(folder) / name for folder, name in _walk(path)]
     worlds = [f for f in files if is_sdf_world(f) or f.name.endswith((".dmd.yaml", ".dmd.yml"))]
@@ -132,9 +134,12 @@ def is_sdf_world(path: Path) -> bool:
     """Returns whether the file is an SDF world."""
     if path.suffix.lower() == ".world":
         return True
-    if not path.is_file():
+    if not is_file(path):
         return False
-    return path.suffix.lower() == ".sdf" and _WORLD_TAG.search(path.read_bytes()) is not None
+    try:
+        return path.suffix.lower() == ".sdf" and _WORLD_TAG.search(read_file(path)) is not None
+    except OSError:
+        return False
 
 
 def reader_and_root(file: Path, given: Path) -> tuple[Callable[[SceneBuilder, Path], None], Path]:
@@ -151,7 +156,7 @@ def reader_and_root(file: Path, given: Path) -> tuple[Callable[[SceneBuilder, Pa
     if file.name.lower().endswith((".dmd.yaml", ".dmd.yml")):
         return read_drake_directives, _root(file, given)
     if suffix in MESH_SUFFIXES:
-        beside = given if given.is_dir() else file.parent
+        beside = given if is_folder(given) else file.parent
         return _read_mesh, beside.parent if beside.name.lower() in ("mesh", "meshes") else beside
     if suffix in (".yaml", ".yml"):
         return read_scene_yaml, file.parent
@@ -162,8 +167,8 @@ def reader_and_root(file: Path, given: Path) -> tuple[Callable[[SceneBuilder, Pa
 
 def _root(file: Path, given: Path) -> Path:
     """Returns the folder given, or the nearest one above it that has ``models``: worlds and models lie side by side."""
-    start = given if given.is_dir() else file.parent
-    return next((folder for folder in ancestors(start) if (folder / "models").is_dir()), start)
+    start = given if is_folder(given) else file.parent
+    return next((folder for folder in ancestors(start) if is_folder(folder / "models")), start)
 
 
 def _read_mesh(builder: SceneBuilder, path: Path) -> None:
@@ -171,4 +176,3 @@ def _read_mesh(builder: SceneBuilder, path: Path) -> None:
     shape, matrix = builder.mesh_shape(path, np.eye(4), (1.0, 1.0, 1.0))
     builder.add_visual(path.stem, shape, matrix)
     builder.add_collision(path.stem, shape, matrix)
-    builder.read_bytes(path)

@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.errors import ConfigError, RobotError
-from gibson_sim.robots.load_cameras import WORLD, camera_entries, load_cameras, read_camera
+from gibson_sim.quoting import quoted
+from gibson_sim.robots.load_cameras import camera_entries, load_cameras, read_camera
 from gibson_sim.robots.settings import Settings
 from gibson_sim.scenes.views import Fixed, Follow, Motion, Orbit, Top, View
-from gibson_sim.types import CameraSpec, Pose
+from gibson_sim.settings import nearest
+from gibson_sim.types import WORLD_FRAME, CameraSpec, Pose
 
 _KINDS: dict[str, type[Follow] | type[Orbit] | type[Top]] = {"follow": Follow, "orbit": Orbit, "top": Top}
 _NUMBERS = {
@@ -70,21 +72,22 @@ def load_camera_file(path: Path, links: Collection[str]) -> tuple[tuple[CameraSp
 def _named_view(part: str, defaults: Mapping[str, Any]) -> View:
     kind, colon, target = (word.strip() for word in part.partition(":"))
     if kind not in _KINDS or bool(colon) != bool(target):
-        known = ", ".join(_KINDS)
+        known, hint = ", ".join(_KINDS), nearest(kind, tuple(_KINDS))
         raise ConfigError(
-            f"view {part!r} is not known; give {known}, one with what it goes with (follow:left), or a file of cameras (.yaml)"
+            f"view {quoted(part)} is not known; {f'{hint} ' if hint else ''}"
+            f"give {known}, one with what it goes with (follow:left), or a file of cameras (.yaml)"
         )
     name = "_".join(["view", kind, *re.findall(r"[A-Za-z0-9_]+", target)])
     values = {"name": name, "view": {"kind": kind, **({"target": target} if target else {})}}
-    return _view(Settings(values, f"view {part!r}"), defaults)
+    return _view(Settings(values, f"view {quoted(part)}"), defaults)
 
 
 def _view(entry: Settings, defaults: Mapping[str, Any]) -> View:
     """Returns a view from an entry of a file of cameras."""
     if "view" not in entry.values:
-        if entry.values.get("link") != WORLD:
+        if entry.values.get("link") != WORLD_FRAME:
             raise RobotError(
-                f"{entry.where}: a view has the key 'view', or link: {WORLD}; cameras on links stand in a robot.yaml"
+                f"{entry.where}: a view has the key 'view', or link: {WORLD_FRAME}; cameras on links stand in a robot.yaml"
             )
         camera = _camera(entry, {"outputs": ["rgb"], **defaults, **entry.values})
         return View(replace(camera, link=camera.name, pose=Pose()), Fixed(camera.pose), own_near=True)
@@ -93,7 +96,7 @@ def _view(entry: Settings, defaults: Mapping[str, Any]) -> View:
             raise RobotError(f"{entry.where}: a view takes no {key}: it is where its kind says; leave {key} or view out")
     section = _section(entry)
     kind = section.text("kind")
-    values = {"outputs": ["rgb"], **defaults, **{k: v for k, v in entry.values.items() if k != "view"}, "link": WORLD}
+    values = {"outputs": ["rgb"], **defaults, **{k: v for k, v in entry.values.items() if k != "view"}, "link": WORLD_FRAME}
     if kind in _FOV_Y_DEG and not any(key in values for key in _OPTICS):
         values["fov_y_deg"] = _FOV_Y_DEG[kind]
     camera = _camera(entry, values)
@@ -116,7 +119,7 @@ def _section(entry: Settings) -> Settings:
 
 def _motion(section: Settings, kind: str) -> Motion:
     if kind not in _KINDS:
-        raise RobotError(f"{section.where}: kind is {kind!r}, must be one of {', '.join(_KINDS)}")
+        raise RobotError(f"{section.where}: kind is {quoted(kind)}, must be one of {', '.join(_KINDS)}")
     section.check_keys(("kind", "target", *(() if kind == "follow" else ("center",)), *_NUMBERS[kind], "yaw_deg"))
     values: dict[str, Any] = dict(section.numbers(_NUMBERS[kind]))
     if "target" in section.values:
@@ -126,7 +129,7 @@ def _motion(section: Settings, kind: str) -> Motion:
     if "center" in section.values:
         center, count = section.floats("center"), {"orbit": 3, "top": 2}[kind]
         if len(center) != count:
-            raise RobotError(f"{section.where}: center has {len(center)} numbers, that of a view {kind!r} has {count}")
+            raise RobotError(f"{section.where}: center has {len(center)} numbers, that of a view {quoted(kind)} has {count}")
         values["center"] = center
         if kind == "orbit":
             values.setdefault("target", "")

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.colours import LUMINANCE, linear_from_srgb, srgb8_from_linear, srgb_from_linear
+from gibson_sim.reading import read_file
 from gibson_sim.robots.spec import Look, Pattern
+from gibson_sim.scenes.image_header import MAX_IMAGE_BYTES
 from gibson_sim.scenes.mesh_types import F64, Material
 from gibson_sim.scenes.textures import Warn, decode_image
 
@@ -85,7 +87,7 @@ def _picture(pattern: Pattern, warn: Warn) -> NDArray[np.uint8] | None:
     size = (PATTERN_PX, PATTERN_PX)
     if pattern.kind == "image":
         try:
-            pixels = decode_image(Path(pattern.image).read_bytes())
+            pixels = decode_image(read_file(Path(pattern.image), MAX_IMAGE_BYTES))
         except OSError:
             pixels = None
         if pixels is None:

@@ -7,18 +7,20 @@ from __future__ import annotations
 
 import json
 import os
-import stat
 import struct
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.errors import MeshError
+from gibson_sim.errors import MeshError, TextError
 from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import read_file
 from gibson_sim.robots.spec import Shape
+from gibson_sim.scenes.file_roots import bounded, is_inside, package_roots
 from gibson_sim.scenes.mesh_dae import load_dae
 from gibson_sim.scenes.mesh_gltf import load_gltf
 from gibson_sim.scenes.mesh_obj import load_obj
@@ -27,7 +29,7 @@ from gibson_sim.scenes.mesh_stl import load_stl
 from gibson_sim.scenes.mesh_types import LIGHT_GREY, Material, Mesh, MeshPart, TextureSource, UpAxis, merge
 from gibson_sim.scenes.primitives import primitive_mesh
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
-from gibson_sim.scenes.textures import Decode, TextureStore, is_inside
+from gibson_sim.scenes.textures import Decode, TextureStore
 
 __all__ = [
     "LIGHT_GREY", "MESH_SUFFIXES", "Material", "Mesh", "MeshLoader", "MeshPart", "TextureSource",
@@ -42,16 +44,26 @@ class MeshLoader:
     """Reads meshes, each file once.
 
     Args:
-        allowed_roots: folders that meshes, textures and buffers must lie in, symbolic links followed.
+        allowed_roots: folders that meshes must lie in, symbolic links followed; None = anywhere. Textures, materials and buffers that a
+            mesh names must lie in these folders or in its own package (``file_roots``), wherever the mesh lies.
         textures: False = geometry only: textures are looked for, and warned about, but not decoded; "sizes" = black images of the
             right size.
         max_bytes: a larger mesh file is refused; None = any size.
+        max_parts: a glTF with more meshes in its nodes is refused; None = any number.
     """
 
-    def __init__(self, allowed_roots: Sequence[Path], *, textures: Decode = True, max_bytes: int | None = None) -> None:
-        self.roots = tuple(allowed_roots)
+    def __init__(
+        self,
+        allowed_roots: Sequence[Path] | None,
+        *,
+        textures: Decode = True,
+        max_bytes: int | None = None,
+        max_parts: int | None = None,
+    ) -> None:
+        self.roots = None if allowed_roots is None else tuple(allowed_roots)
         self.max_bytes = max_bytes
-        self._textures = TextureStore(self.roots, textures)
+        self.max_parts = max_parts
+        self._textures = TextureStore((), textures)
         self._meshes: dict[Path, Mesh] = {}
 
     def mesh(self, path: Path) -> Mesh:
@@ -81,17 +93,10 @@ class MeshLoader:
         return mesh.transformed(np.diag([*shape.size, 1.0]))
 
     def _read(self, path: Path, real: Path) -> Mesh:
-        if not is_inside(real, self.roots):
+        if self.roots is not None and not is_inside(real, self.roots):
             raise MeshError(f"{path}: lies outside {', '.join(map(str, self.roots))}; move it into the scene's folder")
         try:
-            status = real.stat()
-            # A pipe would be waited for, and a device has no end.
-            if not stat.S_ISREG(status.st_mode):
-                raise MeshError(f"{path}: is no regular file; give a mesh file ({', '.join(MESH_SUFFIXES)})")
-            if self.max_bytes is not None and status.st_size > self.max_bytes:
-                mega = 1024 * 1024
-                raise MeshError(f"{path}: has {status.st_size // mega} MB, must be at most {self.max_bytes // mega} MB")
-            data = real.read_bytes()
+            data = read_file(real, self.max_bytes or sys.maxsize - 1)
         except OSError as e:
             raise MeshError(f"{path}: cannot be read: {e.strerror or e}") from e
         if not data:
@@ -100,10 +105,12 @@ class MeshLoader:
             mesh = self._parse(path, real, data)
         except MeshError:
             raise
+        except TextError as e:
+            raise MeshError(f"{path}: {e}").telling(e.public) from e
         # A broken file makes any of these fly out of a parser; all mean the same to the user.
         except (
             ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, RecursionError, MemoryError,
-            struct.error, json.JSONDecodeError, ElementTree.ParseError,
+            OSError, struct.error, json.JSONDecodeError,
         ) as e:  # fmt: skip
             raise MeshError(f"{path}: is not a readable {path.suffix.lower()} file: {type(e).__name__}: {_one_line(e)}") from e
         if not mesh.parts:
@@ -114,6 +121,7 @@ class MeshLoader:
         suffix = path.suffix.lower()
         warnings: list[str] = []
         files = [real]
+        textures = self._textures.within(bounded((*package_roots(path), *(self.roots or ()))))
 
         def warn(text: str) -> None:
             if text not in warnings:
@@ -122,19 +130,19 @@ class MeshLoader:
         up_axis: UpAxis = "z"
         unit_m = 1.0
         if suffix in (".glb", ".gltf"):
-            parts = load_gltf(path, data, self._textures, files, warn)
+            parts = load_gltf(path, data, textures, files, warn, self.max_parts)
             up_axis = "y"
         elif suffix == ".obj":
-            parts = load_obj(path, data, self._textures, files, warn)
+            parts = load_obj(path, data, textures, files, warn)
         elif suffix == ".dae":
-            parts, up_axis, unit_m = load_dae(path, data, self._textures, files, warn)
+            parts, up_axis, unit_m = load_dae(path, data, textures, files, warn)
         elif suffix == ".stl":
             parts = load_stl(path, data)
         elif suffix == ".ply":
-            parts = load_ply(path, data, self._textures, files, warn)
+            parts = load_ply(path, data, textures, files, warn)
         else:
             raise MeshError(
-                f"{path}: {suffix or 'no suffix'!r} is not a mesh format that can be read; known: {', '.join(MESH_SUFFIXES)}"
+                f"{path}: {quoted(suffix or 'no suffix')} is not a mesh format that can be read; known: {', '.join(MESH_SUFFIXES)}"
             )
         return Mesh(tuple(parts), tuple(warnings), tuple(files), up_axis, unit_m)
 
@@ -144,9 +152,9 @@ def load_mesh(path: Path, allowed_roots: Sequence[Path]) -> Mesh:
     return MeshLoader(allowed_roots).mesh(path)
 
 
-def load_shape(shape: Shape, allowed_roots: Sequence[Path]) -> Mesh:
-    """Returns the triangles of a shape. For several shapes use one ``MeshLoader``."""
-    return MeshLoader(allowed_roots).shape(shape)
+def load_shape(shape: Shape, allowed_roots: Sequence[Path] | None = None) -> Mesh:
+    """Returns the triangles of a shape. For several shapes use one ``MeshLoader``. No ``allowed_roots``: the mesh was checked already."""
+    return MeshLoader(mesh_folders([shape]) if allowed_roots is None else allowed_roots).shape(shape)
 
 
 def scene_roots(scene: SceneSpec) -> tuple[Path, ...]:
@@ -154,8 +162,16 @@ def scene_roots(scene: SceneSpec) -> tuple[Path, ...]:
 
     Whoever loaded the scene has checked each path already, so the folders of the shapes themselves are among them.
     """
-    shapes = [v.shape for v in scene.visuals] + [c.shape for c in scene.collisions]
-    return (scene.root, *sorted({Path(s.mesh).parent for s in shapes if s.kind == "mesh"}))
+    return (scene.root, *mesh_folders([v.shape for v in scene.visuals] + [c.shape for c in scene.collisions]))
+
+
+def mesh_folders(shapes: Iterable[Shape]) -> tuple[Path, ...]:
+    """Returns the folders that hold the mesh files of shapes, for a ``MeshLoader`` of files that were checked already.
+
+    Where a file is a link, as in an installation that is made of links, these are the link's folder and the one that it leads to.
+    """
+    files = {Path(shape.mesh) for shape in shapes if shape.kind == "mesh"}
+    return tuple(sorted({folder for file in files for folder in (file.parent, Path(os.path.realpath(file)).parent)}))
 
 
 def shape_triangles(loader: MeshLoader, collision: CollisionSpec) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

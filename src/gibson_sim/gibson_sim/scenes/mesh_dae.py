@@ -14,6 +14,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from gibson_sim.errors import MeshError
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import parse_xml
 from gibson_sim.scenes.mesh_dae_materials import DaeMaterials
 from gibson_sim.scenes.mesh_types import (
     F64,
@@ -41,7 +43,7 @@ def load_dae(
 ) -> tuple[list[MeshPart], UpAxis, float]:
     """Returns the parts in metres with z up, and what the file says of both: its up axis and its metres per unit."""
     # Without the default namespace every path below is a plain tag name.
-    root = ElementTree.fromstring(_NAMESPACE.sub(b"", data, count=1))
+    root = parse_xml(_NAMESPACE.sub(b"", data, count=1))
     if root.tag != "COLLADA":
         raise MeshError(f"{path}: is not a COLLADA file: its root is <{root.tag[:60]}>")
     unit_m = _unit(path, root, warn)
@@ -60,7 +62,7 @@ def _unit(path: Path, root: Element, warn: Warn) -> float:
     except ValueError:
         value = math.nan
     if not (math.isfinite(value) and value > 0):
-        warn(f"{path}: <unit meter={text!r}> is no length; 1 is used")
+        warn(f"{path}: <unit meter={quoted(text)}> is no length; 1 is used")
         return 1.0
     return value
 
@@ -96,7 +98,9 @@ class _Reader:
     def _node(self, node: Element, parent: F64, path: tuple[int, ...]) -> Iterator[MeshPart]:
         self._instances += 1
         if id(node) in path or self._instances > _MAX_INSTANCES:
-            raise MeshError(f"{self.path}: node {node.get('id')!r} contains itself, or there are too many; the file is broken")
+            raise MeshError(
+                f"{self.path}: node {quoted(node.get('id'))} contains itself, or there are too many; the file is broken"
+            )
         matrix = parent
         for child in node:
             if child.tag in _TRANSFORMS:
@@ -112,7 +116,7 @@ class _Reader:
             elif child.tag == "instance_node":
                 target = self.nodes.get(_ref(child))
                 if target is None:
-                    self.warn(f"{self.path}: instance of node {child.get('url')!r}, which is not in the file; left out")
+                    self.warn(f"{self.path}: instance of node {quoted(child.get('url'))}, which is not in the file; left out")
                 else:
                     yield from self._node(target, matrix, here)
 
@@ -120,14 +124,14 @@ class _Reader:
         controller = self.controllers.get(name)
         skin = None if controller is None else controller.find("skin")
         if skin is None:
-            self.warn(f"{self.path}: controller {name!r} is no skin; left out")
+            self.warn(f"{self.path}: controller {quoted(name)} is no skin; left out")
             return []
         bind = skin.findtext("bind_shape_matrix")
         return self._geometry(skin.get("source", "").lstrip("#"), instance, matrix @ _matrix(_numbers(bind)) if bind else matrix)
 
     def _geometry(self, name: str, instance: Element | None, matrix: F64) -> list[MeshPart]:
         if name not in self.geometries:
-            self.warn(f"{self.path}: geometry {name!r} is not in the file; left out")
+            self.warn(f"{self.path}: geometry {quoted(name)} is not in the file; left out")
             return []
         if name not in self._pieces:
             mesh = self.geometries[name].find("mesh")
@@ -230,7 +234,7 @@ class _Geometry:
             source = self._sources.get(name)
             array = None if source is None else source.find("float_array")
             if source is None or array is None:
-                raise MeshError(f"{self.path}: source {name!r} has no numbers; the file is broken")
+                raise MeshError(f"{self.path}: source {quoted(name)} has no numbers; the file is broken")
             values = _numbers(array.text)
             accessor = source.find("technique_common/accessor")
             stride = 3 if accessor is None else int(accessor.get("stride", "1"))
@@ -238,7 +242,9 @@ class _Geometry:
             rows = (len(values) - offset) // stride
             wanted = rows if accessor is None else int(accessor.get("count", str(rows)))
             if wanted > rows:
-                raise MeshError(f"{self.path}: source {name!r} has {rows} rows, {wanted} are promised; the file is cut or broken")
+                raise MeshError(
+                    f"{self.path}: source {quoted(name)} has {rows} rows, {wanted} are promised; the file is cut or broken"
+                )
             self._arrays[name] = values[offset : offset + rows * stride].reshape(rows, stride)
         return self._arrays[name]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from xml.etree import ElementTree
 
+from gibson_sim.quoting import quoted
 from gibson_sim.scenes.mesh_types import LIGHT_GREY, AlphaMode, Material, TextureSource
 from gibson_sim.scenes.textures import TextureStore, Warn
 from gibson_sim.types import Rgba
@@ -44,7 +45,7 @@ class DaeMaterials:
         instance = None if source is None else source.find("instance_effect")
         effect = None if instance is None else self._effects.get(instance.get("url", "").lstrip("#"))
         if effect is None:
-            self.warn(f"{self.path}: material {name!r} is not in the file; the surface is light grey")
+            self.warn(f"{self.path}: material {quoted(name)} is not in the file; the surface is light grey")
             return Material(name)
         shader = next((found for tag in _SHADERS if (found := effect.find(f".//{tag}")) is not None), None)
         if shader is None:
@@ -84,12 +85,12 @@ class DaeMaterials:
             found = parameter.findtext("sampler2D/source") or parameter.findtext("surface/init_from")
             name = (image.get("url", "").lstrip("#") if image is not None else found or "").strip()
         if name not in self._images:
-            self.warn(f"{self.path}: image {name!r} is not in the file; the surface is drawn without it")
+            self.warn(f"{self.path}: image {quoted(name)} is not in the file; the surface is drawn without it")
             return None
         init = self._images[name].find("init_from")
         uri = "" if init is None else (init.text or init.findtext("ref") or "").strip()
         if not uri:
-            self.warn(f"{self.path}: image {name!r} names no file; the surface is drawn without it")
+            self.warn(f"{self.path}: image {quoted(name)} names no file; the surface is drawn without it")
             return None
         return self.textures.from_uri(uri, self.path, self.files, self.warn)
 

@@ -23,7 +23,11 @@ from numpy.typing import NDArray
 from gibson_sim.errors import MeshError
 from gibson_sim.geometry.colours import srgb8_from_linear, srgb_from_linear
 from gibson_sim.geometry.transforms import matrix_from_quat
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import read_file
 from gibson_sim.robots.omissions import Omission, OmissionKind
+from gibson_sim.scenes.file_roots import is_inside
+from gibson_sim.scenes.mesh_gltf_compression import DRACO, MAX_DECODED_BYTES, MESHOPT, DracoMesh, decode_draco, decode_meshopt
 from gibson_sim.scenes.mesh_types import (
     F64,
     I64,
@@ -34,15 +38,18 @@ from gibson_sim.scenes.mesh_types import (
     MeshPart,
     build_part,
 )
-from gibson_sim.scenes.textures import TextureStore, Warn, is_inside, local_path
+from gibson_sim.scenes.textures import TextureStore, Warn, local_path
 
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_MAX_BUFFER_BYTES = 2**30
 _MAX_ELEMENTS = 100_000_000
+_MAX_VALUES = 2_000_000
+"""Commas of the JSON: of a house with 20,000 nodes there are 1 million. Their bytes do not matter, a buffer may be written out in it."""
 _ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 _KNOWN_EXTENSIONS = {
     "KHR_materials_unlit", "KHR_texture_transform", "KHR_mesh_quantization", "KHR_materials_pbrSpecularGlossiness",
-    "KHR_lights_punctual", "EXT_texture_webp",
+    "KHR_lights_punctual", "EXT_texture_webp", "KHR_texture_basisu", DRACO, *MESHOPT,
 }  # fmt: skip
 
 _MAPS = {
@@ -56,8 +63,10 @@ _Placement = tuple[int, dict[str, Any]]
 """Set of texture coordinates, and KHR_texture_transform or nothing."""
 
 
-def load_gltf(path: Path, data: bytes, textures: TextureStore, files: list[Path], warn: Warn) -> list[MeshPart]:
-    """Returns the parts of the default scene, turned from y up to z up."""
+def load_gltf(
+    path: Path, data: bytes, textures: TextureStore, files: list[Path], warn: Warn, most_parts: int | None = None
+) -> list[MeshPart]:
+    """Returns the parts of the default scene, turned from y up to z up; more than ``most_parts`` are refused."""
     document, chunk = _split(path, data)
     version = str(document.get("asset", {}).get("version", ""))
     if not version.startswith("2"):
@@ -65,15 +74,15 @@ def load_gltf(path: Path, data: bytes, textures: TextureStore, files: list[Path]
     for name in document.get("extensionsRequired", []):
         if name not in _KNOWN_EXTENSIONS and not name.startswith("KHR_materials_"):
             raise MeshError(f"{path}: needs glTF extension {name}, which is not supported; export the file without it")
-    return _Reader(path, document, chunk, textures, files, warn).parts()
+    return _Reader(path, document, chunk, textures, files, warn).parts(most_parts)
 
 
 def _split(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
     """Returns the JSON document and the binary chunk (empty if there is none)."""
     if data[:4] != b"glTF":
         if path.suffix.lower() == ".glb":
-            raise MeshError(f"{path}: is not a GLB file (it starts with {data[:4]!r}, must be b'glTF')")
-        document = json.loads(data.decode("utf-8-sig"))
+            raise MeshError(f"{path}: is not a GLB file (it starts with {quoted(data[:4])}, must be b'glTF')")
+        document = _json(path, data)
         if not isinstance(document, dict):
             raise MeshError(f"{path}: is not a glTF file: its JSON holds no object")
         return document, b""
@@ -88,8 +97,15 @@ def _split(path: Path, data: bytes) -> tuple[dict[str, Any], bytes]:
         size, kind = struct.unpack_from("<II", data, at)
         chunks.setdefault(kind, data[at + 8 : at + 8 + size])
         at += 8 + size
-    document = json.loads(chunks[0x4E4F534A].decode("utf-8"))
-    return document, chunks.get(0x004E4942, b"")
+    return _json(path, chunks[0x4E4F534A]), chunks.get(0x004E4942, b"")
+
+
+def _json(path: Path, data: bytes) -> Any:
+    values = data.count(b",")
+    if values > _MAX_VALUES:
+        reason = f"has about {values} values of JSON, must have at most {_MAX_VALUES}; split it"
+        raise MeshError(f"{path}: {reason}").telling(reason)
+    return json.loads(data.decode("utf-8-sig"))
 
 
 class _Reader:
@@ -107,15 +123,24 @@ class _Reader:
         self._buffers: dict[int, bytes] = {}
         self._materials: dict[int, Material] = {}
         self._images: dict[int, Any] = {}
+        self._draco: dict[int, DracoMesh] | None = None
+        """Buffer view -> mesh; None = not decoded yet."""
+        self._decoded: dict[int, NDArray[Any]] = {}
+        """Accessor -> what Draco holds for it, of the primitive that is read."""
+        self._unpacked: dict[int, bytes] = {}
+        self._unpacked_bytes = 0
 
-    def parts(self) -> list[MeshPart]:
+    def parts(self, most: int | None) -> list[MeshPart]:
         if "EXT_mesh_gpu_instancing" in self.document.get("extensionsUsed", []):
             self.warn(f"{self.path}: EXT_mesh_gpu_instancing is not supported; only one of each instanced mesh is drawn")
-        parts = []
+        parts: list[MeshPart] = []
         for node, matrix in self._nodes():
             if "mesh" not in node:
                 continue
             for primitive in self._item("meshes", node["mesh"]).get("primitives", []):
+                if most is not None and len(parts) >= most:
+                    reason = f"has more than {most} meshes in its nodes; join them before it is spawned, or load it as a world"
+                    raise MeshError(f"{self.path}: {reason}").telling(reason)
                 part = self._primitive(primitive, matrix)
                 if part is not None:
                     parts.append(part)
@@ -162,17 +187,18 @@ class _Reader:
             if "POSITION" in attributes:
                 self.warn(f"{self.path}: points and lines are not drawn")
             return None
-        if "KHR_draco_mesh_compression" in primitive.get("extensions", {}) and "bufferView" not in self._item(
-            "accessors", attributes["POSITION"]
-        ):
-            raise MeshError(f"{self.path}: is Draco compressed, which is not supported; export the file without it")
+        draco = self._draco_of(primitive)
+        self._decoded = {} if draco is None else self._draco_arrays(primitive, draco)
         vertices = self._accessor(attributes["POSITION"])
         if vertices.shape[1] != 3:
             raise MeshError(f"{self.path}: positions have {vertices.shape[1]} coordinates, must be 3; the file is broken")
         normals = self._same_length("NORMAL", attributes, len(vertices), 3)
-        indices = (
-            self._accessor(primitive["indices"])[:, 0].astype(np.int64) if "indices" in primitive else np.arange(len(vertices))
-        )
+        if draco is not None:
+            indices: I64 = draco.indices
+        elif "indices" in primitive:
+            indices = self._accessor(primitive["indices"])[:, 0].astype(np.int64)
+        else:
+            indices = np.arange(len(vertices))
         material, uv_set, uv_matrix = self._material_of(primitive)
         uvs = self._same_length(f"TEXCOORD_{uv_set}", attributes, len(vertices), 2)
         if uvs is not None and uv_matrix is not None:
@@ -181,6 +207,35 @@ class _Reader:
         if material.texture is None and "COLOR_0" in attributes:
             colors = self._colors(attributes["COLOR_0"], len(vertices))
         return build_part(str(self.path), vertices, _triangles(indices, mode), normals, uvs, material, matrix, colors)
+
+    def _draco_of(self, primitive: dict[str, Any]) -> DracoMesh | None:
+        """Returns what Draco holds of a primitive, None = it is not compressed; all meshes of the file are decoded at once."""
+        if DRACO not in primitive.get("extensions", {}):
+            return None
+        if "bufferView" in self._item("accessors", primitive["attributes"]["POSITION"]):
+            return None  # it is there as well as it was
+        if self._draco is None:
+            every = [p for mesh in self.document.get("meshes", []) for p in mesh.get("primitives", [])]
+            views = dict.fromkeys(p["extensions"][DRACO]["bufferView"] for p in every if DRACO in p.get("extensions", {}))
+            meshes = decode_draco(str(self.path), [self._view_bytes(view) for view in views])
+            self._draco = dict(zip(views, meshes, strict=True))
+        return self._draco[primitive["extensions"][DRACO]["bufferView"]]
+
+    def _draco_arrays(self, primitive: dict[str, Any], draco: DracoMesh) -> dict[int, NDArray[Any]]:
+        """Returns accessor -> what Draco holds for it, with as many elements as the accessor says."""
+        found: dict[int, NDArray[Any]] = {}
+        for name, number in primitive["extensions"][DRACO].get("attributes", {}).items():
+            index = primitive["attributes"].get(name)
+            if index is None or number not in draco.attributes:
+                continue
+            values, accessor = draco.attributes[number], self._item("accessors", index)
+            shape = (accessor["count"], _WIDTHS[accessor["type"]])
+            if values.shape != shape:
+                raise MeshError(f"{self.path}: Draco holds {name} of shape {values.shape}, must be {shape}; the file is broken")
+            found[index] = values
+        if primitive["attributes"]["POSITION"] not in found:
+            raise MeshError(f"{self.path}: a Draco mesh has no POSITION; the file is broken")
+        return found
 
     def _same_length(self, name: str, attributes: dict[str, Any], count: int, width: int) -> NDArray[Any] | None:
         if name not in attributes:
@@ -203,7 +258,10 @@ class _Reader:
         dtype, width, count = np.dtype(_COMPONENTS[accessor["componentType"]]), _WIDTHS[accessor["type"]], int(accessor["count"])
         if not 0 <= count <= _MAX_ELEMENTS:
             raise MeshError(f"{self.path}: accessor {index} has {count} elements, must be 0 to {_MAX_ELEMENTS}")
-        if "bufferView" in accessor:
+        if index in self._decoded:
+            array = self._decoded[index]
+            dtype = array.dtype
+        elif "bufferView" in accessor:
             array = self._view(accessor["bufferView"], accessor.get("byteOffset", 0), dtype, count, width)
         else:
             array = np.zeros((count, width), dtype=dtype)
@@ -222,17 +280,39 @@ class _Reader:
 
     def _view(self, index: int, offset: int, dtype: np.dtype[Any], count: int, width: int) -> NDArray[Any]:
         view = self._item("bufferViews", index)
-        if "EXT_meshopt_compression" in view.get("extensions", {}):
-            raise MeshError(f"{self.path}: is compressed with EXT_meshopt_compression, which is not supported; export it without")
         start, length = int(view.get("byteOffset", 0)), int(view["byteLength"])
         stride = int(view.get("byteStride", 0)) or dtype.itemsize * width
-        data = self._buffer(view["buffer"])
+        packed = next((view["extensions"][name] for name in MESHOPT if name in view.get("extensions", {})), None)
+        if packed is None:
+            data = self._buffer(view["buffer"])
+        else:
+            if index not in self._unpacked:
+                self._unpacked[index] = self._meshopt(packed)
+            data, start = self._unpacked[index], 0
         last = offset + (count - 1) * stride + dtype.itemsize * width if count else 0
         if min(start, offset, length) < 0 or last > length or start + length > len(data):
             raise MeshError(
                 f"{self.path}: a buffer has {len(data)} bytes, but {start + max(length, last)} are needed; the file is cut"
             )
         return np.ndarray((count, width), dtype, data, start + offset, (stride, dtype.itemsize))
+
+    def _meshopt(self, packed: dict[str, Any]) -> bytes:
+        """Returns the bytes of a view that meshoptimizer compressed."""
+        self._unpacked_bytes += int(packed.get("count", 0)) * int(packed.get("byteStride", 0))
+        if self._unpacked_bytes > MAX_DECODED_BYTES:
+            raise MeshError(f"{self.path}: its compressed buffers hold more than {MAX_DECODED_BYTES >> 20} MB; simplify the mesh")
+        start, length = int(packed.get("byteOffset", 0)), int(packed.get("byteLength", 0))
+        return decode_meshopt(str(self.path), packed, self._slice(packed["buffer"], start, length))
+
+    def _view_bytes(self, index: int) -> bytes:
+        view = self._item("bufferViews", index)
+        return self._slice(view["buffer"], int(view.get("byteOffset", 0)), int(view["byteLength"]))
+
+    def _slice(self, buffer: int, start: int, length: int) -> bytes:
+        data = self._buffer(buffer)
+        if min(start, length) < 0 or start + length > len(data):
+            raise MeshError(f"{self.path}: a buffer has {len(data)} bytes, but {start + length} are needed; the file is cut")
+        return data[start : start + length]
 
     def _buffer(self, index: int) -> bytes:
         if index not in self._buffers:
@@ -245,11 +325,11 @@ class _Reader:
             return _data_uri(uri)
         file = local_path(uri, self.path.parent)
         if not is_inside(file, self.textures.roots):
-            raise MeshError(f"{self.path}: buffer {uri!r} lies outside the scene's folder; put it beside the mesh")
-        if file.exists() and not file.is_file():  # a pipe would be waited for, and a device has no end
-            raise MeshError(f"{self.path}: buffer {file.name} is no regular file; name a .bin file")
+            raise MeshError(
+                f"{self.path}: buffer {quoted(uri)} lies outside the folder of the mesh and of its model; put it beside the mesh"
+            )
         try:
-            data = file.read_bytes()
+            data = read_file(file, _MAX_BUFFER_BYTES)
         except OSError as e:
             raise MeshError(f"{self.path}: buffer {file.name} cannot be read: {e.strerror or e}") from e
         self.files.append(Path(os.path.realpath(file)))
@@ -297,7 +377,9 @@ class _Reader:
                 continue
             if _placement(info) != placed:
                 # One set of coordinates a vertex: a second one would cost every scene for the sake of few.
-                self.warn(f"{self.path}: {name} of material {material.name!r} lies otherwise than its base colour; left out")
+                self.warn(
+                    f"{self.path}: {name} of material {quoted(material.name)} lies otherwise than its base colour; left out"
+                )
                 continue
             maps[field] = self._texture(info["index"])
         pbr, extensions = source.get("pbrMetallicRoughness", {}), source.get("extensions", {})
@@ -323,7 +405,10 @@ class _Reader:
         texture = self._item("textures", index)
         source = texture.get("extensions", {}).get("EXT_texture_webp", {}).get("source", texture.get("source"))
         if source is None:
-            text = f"{self.path}: texture {index} has a format that cannot be read; the surface is drawn without it"
+            ktx = "KHR_texture_basisu" in texture.get("extensions", {})
+            what = "is KTX2, which is not read" if ktx else "has a format that cannot be read"
+            remedy = "; make it PNG: npx @gltf-transform/cli ktxdecompress in.glb out.glb" if ktx else ""
+            text = f"{self.path}: texture {index} {what}; the surface is drawn without it{remedy}"
             self.warn(Omission(text, OmissionKind.UNSUPPORTED_ASSET))
             return None
         if source not in self._images:

@@ -13,9 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import MeshError
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import is_file, read_file
 from gibson_sim.robots.omissions import Omission, OmissionKind
+from gibson_sim.scenes.file_roots import is_inside
 from gibson_sim.scenes.mesh_types import F64, I64, LIGHT_GREY, Material, MeshPart, area_normals, build_part, fan, index_corners
-from gibson_sim.scenes.textures import TextureStore, Warn, is_inside, local_path
+from gibson_sim.scenes.textures import TextureStore, Warn, local_path
 from gibson_sim.types import Rgba
 
 _NUMBER = re.compile(r"-?\d+")
@@ -59,7 +62,7 @@ def load_obj(path: Path, data: bytes, textures: TextureStore, files: list[Path],
     parts = []
     for name, face in faces.items():
         if name and name not in known:
-            warn(f"{path}: material {name!r} is not defined in its .mtl; the surface is light grey")
+            warn(f"{path}: material {quoted(name)} is not defined in its .mtl; the surface is light grey")
         plain = Material(name) if colors is None else Material(name, (1.0, 1.0, 1.0, 1.0), unlit=True)
         part = _part(path, face, positions, texcoords, normals, smooth, known.get(name, plain), colors)
         if part is not None:
@@ -79,7 +82,7 @@ def _table(path: Path, lines: list[str], width: int) -> F64:
         for row, line in enumerate(lines):
             words = line.split()[:width]
             if len(words) < width and width == 3:
-                raise ValueError(f"{line!r} has {len(words)} coordinates")
+                raise ValueError(f"{quoted(line)} has {len(words)} coordinates")
             table[row, : len(words)] = [float(word) for word in words]
     except ValueError as e:
         raise MeshError(f"{path}: a line of coordinates cannot be read: {e}; the OBJ is broken") from e
@@ -152,12 +155,12 @@ def _columns(path: Path, texts: list[str]) -> I64:
     slashes = words[0].count("/")
     double = "//" in words[0]
     if any(w.count("/") != slashes or ("//" in w) != double for w in words):
-        raise MeshError(f"{path}: face {texts[0].strip()!r} mixes kinds of corners; the OBJ is broken")
+        raise MeshError(f"{path}: face {quoted(texts[0].strip())} mixes kinds of corners; the OBJ is broken")
     width = 2 if double else len([p for p in words[0].split("/") if p])
     try:
         values = np.array(" ".join(texts).replace("/", " ").split(), dtype=np.int64).reshape(len(texts), len(words), width)
     except ValueError as e:
-        raise MeshError(f"{path}: face {texts[0].strip()!r} cannot be read; the OBJ is broken") from e
+        raise MeshError(f"{path}: face {quoted(texts[0].strip())} cannot be read; the OBJ is broken") from e
     out = np.zeros((*values.shape[:2], 3), dtype=np.int64)
     targets = [0, 2] if double else [0, 1, 2][:width]
     out[:, :, targets] = values
@@ -202,7 +205,7 @@ def _part(
 
 def _names(line: str, path: Path) -> list[str]:
     """Returns the .mtl files of an mtllib line: one name with blanks if there is such a file, else several names."""
-    return [line] if local_path(line, path.parent).is_file() or " " not in line else line.split()
+    return [line] if is_file(local_path(line, path.parent)) or " " not in line else line.split()
 
 
 def _materials(path: Path, names: list[str], textures: TextureStore, files: list[Path], warn: Warn) -> dict[str, Material]:
@@ -210,17 +213,17 @@ def _materials(path: Path, names: list[str], textures: TextureStore, files: list
     for name in names:
         file = local_path(name, path.parent)
         if not is_inside(file, textures.roots):
-            text = f"{path}: material file {name!r} lies outside the scene's folder; it is not read"
+            text = f"{path}: material file {quoted(name)} lies outside the folder of the mesh and of its model; put it beside the mesh"
             warn(Omission(text, OmissionKind.UNSUPPORTED_ASSET))
             continue
-        if not file.is_file():
+        if not is_file(file):
             text = f"{path}: material file {name} is missing; the surfaces are light grey"
             warn(Omission(text, OmissionKind.MISSING_ASSET))
             continue
         files.append(Path(os.path.realpath(file)))
         blocks: dict[str, dict[str, str]] = {}
         current: dict[str, str] = {}
-        for line in file.read_text(encoding="utf-8", errors="replace").splitlines():
+        for line in read_file(file).decode("utf-8", errors="replace").splitlines():
             key, _, rest = line.strip().partition(" ")
             if key == "newmtl":
                 current = blocks.setdefault(rest.strip(), {})
@@ -263,7 +266,7 @@ def _floats(text: str, count: int, default: tuple[float, ...], mtl: Path, warn: 
     except ValueError:
         values = ()
     if len(values) != count:
-        warn(f"{mtl}: {text!r} is not {count} number(s); ignored")
+        warn(f"{mtl}: {quoted(text)} is not {count} number(s); ignored")
         return default
     return values
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import MeshError
+from gibson_sim.quoting import quoted
 from gibson_sim.scenes.mesh_types import F64, I64, Material, MeshPart, build_part, fan, index_corners
 from gibson_sim.scenes.textures import TextureStore, Warn
 
@@ -181,7 +182,7 @@ def _uvs(ply: Ply) -> F64 | None:
 def _header(path: Path, data: bytes) -> tuple[str, list[_Element], str, int]:
     """Returns the byte order ("" = text), the elements, the name of a texture, and where the content begins."""
     if not data.startswith(b"ply"):
-        raise MeshError(f"{path}: is not a PLY file (it starts with {data[:4]!r}, must be b'ply')")
+        raise MeshError(f"{path}: is not a PLY file (it starts with {quoted(data[:4])}, must be b'ply')")
     end = data.find(b"end_header", 0, _MAX_HEADER)
     line_end = data.find(b"\n", end)
     if end < 0 or line_end < 0:
@@ -210,7 +211,7 @@ def _with_property(path: Path, element: _Element, words: list[str]) -> _Element:
     kinds = words[1:3] if words[0] == "list" else words[:1]
     unknown = [kind for kind in kinds if kind not in _TYPES]
     if unknown or len(words) < 2:
-        raise MeshError(f"{path}: property {' '.join(words)!r} of {element.name} is of an unknown type; the PLY is broken")
+        raise MeshError(f"{path}: property {quoted(' '.join(words))} of {element.name} is of an unknown type; the PLY is broken")
     added = _Property(words[-1], _TYPES[kinds[-1]], _TYPES[kinds[0]] if words[0] == "list" else "")
     return _Element(element.name, element.count, (*element.properties, added))
 

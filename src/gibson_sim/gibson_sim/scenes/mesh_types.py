@@ -216,17 +216,17 @@ def build_part(
     Raises:
         MeshError: an index points nowhere, or a coordinate is NaN or infinite.
     """
-    v = np.asarray(vertices, dtype=np.float64)
+    # A NaN that signals would warn when it is cast.
+    with np.errstate(invalid="ignore"):
+        v, n, uv = (None if array is None else np.asarray(array, dtype=np.float64) for array in (vertices, normals, uvs))
     t = np.asarray(triangles, dtype=np.int64)
-    if not len(t):
+    if v is None or not len(t):
         return None
     if t.min() < 0 or t.max() >= len(v):
         wrong = int(t.min() if t.min() < 0 else t.max())
         raise MeshError(f"{what}: a triangle names vertex {wrong}, but there are {len(v)}; the file is broken, export it again")
     used = np.zeros(len(v), dtype=bool)
     used[t] = True
-    n = None if normals is None else np.asarray(normals, dtype=np.float64)
-    uv = None if uvs is None else np.asarray(uvs, dtype=np.float64)
     if not used.all():
         # Exporters let several parts share one vertex array: keep what this part needs.
         t = (np.cumsum(used) - 1)[t]
@@ -240,13 +240,14 @@ def build_part(
             v = apply(matrix, v)
         n = None if n is None else turn_normals(matrix, n)
         t = t if np.linalg.det(matrix[:3, :3]) > 0 else t[:, ::-1]
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         v32 = v.astype(np.float32)
     if not np.isfinite(v32).all():
         row = int(np.flatnonzero(~np.isfinite(v32).all(axis=1))[0])
         raise MeshError(f"{what}: vertex {row} is {v[row].tolist()}, coordinates must be finite numbers; the file is broken")
     n = _fill_normals(v, t, n)
-    uv32 = None if uv is None else np.nan_to_num(uv, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
+    with np.errstate(over="ignore"):
+        uv32 = None if uv is None else np.nan_to_num(uv, nan=0.0, posinf=0.0, neginf=0.0).astype(np.float32)
     colors = None if material.texture is not None else colors
     material = material if colors is None else replace(material, colored=True)
     return MeshPart(v32, n.astype(np.float32), uv32, np.ascontiguousarray(t, dtype=np.uint32), material, colors)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -12,7 +13,8 @@ import numpy as np
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.scenes.floor_map import FloorMap, scene_floor_map
-from gibson_sim.scenes.rooms import find_rooms
+from gibson_sim.scenes.named_rooms import NamedRooms, RoomPlace
+from gibson_sim.scenes.rooms import Door, find_rooms
 from gibson_sim.scenes.spec import SceneSpec, StartPose
 from gibson_sim.types import Pose, Vec3
 
@@ -24,6 +26,8 @@ DEFAULT_RADIUS, DEFAULT_HEIGHT = 0.3, 0.5
 """Metres: of the robot that a free place is for, where the scene has none."""
 _SPARE = 0.2
 """Metres beside the robot, where the floor has places with so much."""
+_WIDEST_DOOR = 1.6
+"""Metres: a wider passage between two rooms that a scene names is an opening, as in a flat whose kitchen is a part of its living room."""
 _ROOM_RESOLUTION = 0.1
 _MOST_CANDIDATES = 100_000
 
@@ -45,7 +49,9 @@ class NamedPose:
 def named_poses(scene: SceneSpec) -> tuple[NamedPose, ...]:
     """Returns start poses, free places, rooms and doors of every floor, in this order; equal scenes have equal poses.
 
-    The boxes of start poses, free places and doors are free of everything static; that of a room is the smallest about its floor.
+    A room that the scene names is called as there, ``floor_0/kitchen``, and its pose is where the largest robot stands well; others are
+    numbered. Doors are called by the rooms that they connect, ``floor_0/door_hall_kitchen``; what is wider is an opening. The boxes of start
+    poses and free places are free of everything static; that of a room is the smallest about its floor.
     """
     height = max((robot.height for robot in scene.robots), default=DEFAULT_HEIGHT)
     radius = max((robot.radius for robot in scene.robots), default=DEFAULT_RADIUS)
@@ -63,7 +69,18 @@ def named_poses(scene: SceneSpec) -> tuple[NamedPose, ...]:
             continue
         out += _starts(starts, tag, floor, height)
         out += _free(level, tag, floor, radius, height)
-        out += _rooms_and_doors(level, number, coarse, height)
+        out += _rooms_and_doors(level, number, floor, coarse, radius, height)
+    return _unique(out)
+
+
+def _unique(poses: Sequence[NamedPose]) -> tuple[NamedPose, ...]:
+    """Returns the poses; of those with the same name the later ones have a number behind it."""
+    taken: set[str] = set()
+    out = []
+    for pose in poses:
+        name = next(text for text in (pose.name, *(f"{pose.name}_{i}" for i in range(2, len(poses) + 2))) if text not in taken)
+        taken.add(name)
+        out.append(replace(pose, name=name))
     return tuple(out)
 
 
@@ -106,23 +123,51 @@ def _free(scene: SceneSpec, tag: str, floor: FloorMap, radius: float, height: fl
     return out
 
 
-def _rooms_and_doors(scene: SceneSpec, number: int, floor: FloorMap, height: float) -> list[NamedPose]:
-    rooms, doors = find_rooms(floor)
+def _rooms_and_doors(
+    scene: SceneSpec, number: int, floor: FloorMap, coarse: FloorMap, radius: float, height: float
+) -> list[NamedPose]:
+    """Returns rooms and doors: those that the scene names, and what the map shows beside them."""
     tag = f"floor_{number}"
-    out = []
-    for i, room in enumerate(rooms):
-        x, y = room.center
+    known = NamedRooms([room for room in scene.rooms if room.floor == number], floor)
+    out = [_named_room(place, tag, scene.floor_z, height) for place in known.places(radius)]
+    rooms, doors = find_rooms(coarse)
+    callings = {i: spec.name for i, found in enumerate(rooms) if (spec := known.room_at(found.center)) is not None}
+    others = [i for i in range(len(rooms)) if i not in callings]
+    callings |= {i: f"room_{n}" for n, i in enumerate(others)}
+    for i in others:
+        room, (x, y) = rooms[i], rooms[i].center
         low: Vec3 = (room.low[0] - x, room.low[1] - y, 0.0)
         high: Vec3 = (room.high[0] - x, room.high[1] - y, height)
         pose = pose_from_xyz_rpy((x, y, scene.floor_z))
-        named = scene.room_at(x, y, number)
-        text = f"room of {room.area:.1f} m^2{'' if named is None else f': {named.name}'}"
-        tags = ("room", tag, *(() if named is None else (named.room_class,)))
-        out.append(NamedPose(f"{tag}/room_{i}", text, tags, pose, low, high))
-    for i, door in enumerate(doors):
-        pose = pose_from_xyz_rpy((*door.center, scene.floor_z), (0.0, 0.0, door.yaw))
-        text = f"door {door.width:.1f} m wide, from room_{door.rooms[0]} to room_{door.rooms[1]}"
-        out.append(NamedPose(f"{tag}/door_{i}", text, ("door", tag), pose, *_box(door.width / 2, height)))
+        out.append(NamedPose(f"{tag}/{callings[i]}", f"room of {room.area:.1f} m^2", ("room", tag), pose, low, high))
+    names = [room.name for room in scene.rooms if room.floor == number]
+    passages = [(door, names[door.rooms[0]], names[door.rooms[1]]) for door in known.doors()]
+    passages += [(door, callings[door.rooms[0]], callings[door.rooms[1]]) for door in doors if {*door.rooms} & {*others}]
+    return out + _doors(passages, tag, scene.floor_z, height)
+
+
+def _named_room(place: RoomPlace, tag: str, floor_z: float, height: float) -> NamedPose:
+    (x, y), room = place.place, place.room
+    corners = np.array(room.polygon) - (x, y)
+    low: Vec3 = (*(float(c) for c in corners.min(axis=0)), 0.0)  # type: ignore[assignment]
+    high: Vec3 = (*(float(c) for c in corners.max(axis=0)), height)  # type: ignore[assignment]
+    apart = "" if place.reachable else ", not to be reached by the robot from the rest of the floor"
+    text = f"room of {place.area:.1f} m^2{apart}: {room.name}"
+    return NamedPose(f"{tag}/{room.name}", text, ("room", tag, room.room_class), pose_from_xyz_rpy((x, y, floor_z)), low, high)
+
+
+def _doors(passages: Sequence[tuple[Door, str, str]], tag: str, floor_z: float, height: float) -> list[NamedPose]:
+    """Returns passages with the names of the rooms that they connect; several between the same two are numbered."""
+    out: list[NamedPose] = []
+    count: Counter[tuple[str, ...]] = Counter()
+    for door, first, second in passages:
+        what = "door" if door.width <= _WIDEST_DOOR else "opening"
+        again = count[what, first, second]
+        count[what, first, second] += 1
+        name = f"{tag}/{what}_{first}_{second}{f'_{again}' if again else ''}"
+        text = f"{what} {door.width:.1f} m wide, from {first} to {second}"
+        pose = pose_from_xyz_rpy((*door.center, floor_z), (0.0, 0.0, door.yaw))
+        out.append(NamedPose(name, text, (what, tag), pose, *_box(door.width / 2, height)))
     return out
 
 

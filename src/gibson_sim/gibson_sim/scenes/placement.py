@@ -10,10 +10,11 @@ import numpy as np
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
-from gibson_sim.robots.load import load_robot
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.floor_map import FloorMap, scene_floor_map
 from gibson_sim.scenes.load import load_scene, with_robots
+from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.scenes.tour import choose_start
 from gibson_sim.types import Pose
@@ -51,15 +52,15 @@ def place_robots(scene: SceneSpec, robots: str, start: str = "", *, robot_tf: st
     entries = [part.strip() for part in robots.split(",")]
     starts = [part.strip() for part in start.split(";")] if start else []
     if len(starts) > len(entries):
-        raise ConfigError(f"start has {len(starts)} places for {len(entries)} robots: {start!r}")
+        raise ConfigError(f"start has {len(starts)} places for {len(entries)} robots: {quoted(start)}")
     for i, entry in enumerate(entries):
         name, _, kind = (part.strip() for part in entry.partition("="))
         if not (name and kind):
             raise ConfigError(
-                f"robot {entry!r} must be name=robot where there are several, e.g. left=gibson_bot,right=gibson_bot"
+                f"robot {quoted(entry)} must be name=robot where there are several, e.g. left=gibson_bot,right=gibson_bot"
             )
         if any(name == other.name for other in placed):
-            raise ConfigError(f"two robots are called {name!r}; names must differ")
+            raise ConfigError(f"two robots are called {quoted(name)}; names must differ")
         robot = in_namespace(load_robot(kind, name=name), name, robot_tf)
         given = starts[i] if i < len(starts) else ""
         pose = start_pose(scene, robot, given) if given else free_start(scene, robot, [other.start for other in placed])
@@ -93,7 +94,7 @@ def free_start(scene: SceneSpec, robot: RobotSpec, taken: list[Pose]) -> Pose:
     for x, y in centers[order]:
         if is_clear(float(x), float(y)):
             return pose_from_xyz_rpy((float(x), float(y), scene.floor_z), (0.0, 0.0, 0.0))
-    raise ConfigError(f"scene {scene.name!r} has no room for robot {robot.name!r}: give its start as x,y,yaw_deg")
+    raise ConfigError(f"scene {quoted(scene.name)} has no room for robot {quoted(robot.name)}: give its start as x,y,yaw_deg")
 
 
 def start_pose(scene: SceneSpec, robot: RobotSpec, start: str) -> Pose:
@@ -106,7 +107,7 @@ def start_pose(scene: SceneSpec, robot: RobotSpec, start: str) -> Pose:
         if numbers is None:
             known = ", ".join(named) or "none in this scene"
             raise ConfigError(
-                f"start is {start!r}, must be x,y,yaw_deg in metres and degrees, or the name of a start pose: {known}"
+                f"start is {quoted(start)}, must be x,y,yaw_deg in metres and degrees, or the name of a start pose: {known}"
             )
         x, y, yaw_deg = numbers
         return pose_from_xyz_rpy((x, y, scene.floor_z), (0.0, 0.0, math.radians(yaw_deg)))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gibson_sim.errors import MeshError, SceneError
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.rigid import MOVING_TYPES
 from gibson_sim.robots.spec import Shape
 from gibson_sim.robots.urdf import Inertial, UrdfJoint, UrdfModel
@@ -35,7 +36,7 @@ def check_plausible(model: UrdfModel, loader: MeshLoader) -> None:
     if len(model.links) > MAX_LINKS:
         raise SceneError(f"{model.path}: has {len(model.links)} links, must be at most {MAX_LINKS}; split it")
     for link in model.links:
-        where = f"{model.path}: link {link.name!r}"
+        where = f"{model.path}: link {quoted(link.name)}"
         shapes = [(v.shape, v.pose) for v in link.visuals] + [(c.shape, c.pose) for c in link.collisions]
         for shape, pose in shapes:
             _check_place(where, pose)
@@ -45,7 +46,7 @@ def check_plausible(model: UrdfModel, loader: MeshLoader) -> None:
         if link.friction is not None and not 0.0 <= link.friction < math.inf:
             raise SceneError(f"{where}: friction is {link.friction:g}, must be a finite number, 0 or more")
     for joint in model.joints:
-        _check_joint(f"{model.path}: joint {joint.name!r}", joint)
+        _check_joint(f"{model.path}: joint {quoted(joint.name)}", joint)
 
 
 def _check_inertial(where: str, inertial: Inertial) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from gibson_sim.errors import MeshError
 from gibson_sim.geometry.triangles import areas_of
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.spec import Shape
 from gibson_sim.scenes.mesh_types import F64, I64, Material, Mesh, MeshPart
 
@@ -23,7 +24,7 @@ def primitive_mesh(shape: Shape) -> Mesh:
     """Returns a box, sphere or cylinder (about z), centred at the origin, metres."""
     makers: dict[str, _Maker] = {"box": _box, "sphere": _sphere, "cylinder": _cylinder}
     if shape.kind not in makers:
-        raise MeshError(f"shape {shape.kind!r} is no primitive; known: {', '.join(makers)}")
+        raise MeshError(f"shape {quoted(shape.kind)} is no primitive; known: {', '.join(makers)}")
     needed = {"box": 3, "sphere": 1, "cylinder": 2}[shape.kind]
     if not all(math.isfinite(s) and s > 0 for s in shape.size[:needed]):
         raise MeshError(f"{shape.kind}: size is {tuple(shape.size)}, the first {needed} must be finite and above 0 (metres)")

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from gibson_sim.geometry.colours import srgb_from_linear
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.spec import Look, Pattern, PatternKind, VisualSpec
 from gibson_sim.scenes.spec import UNLABELLED, DrawnScene, LightSpec
 from gibson_sim.types import Vec3
@@ -99,7 +100,7 @@ def randomise(scene: DrawnScene, seed: int, rules: Rules) -> DrawnScene:
     """
     visuals = tuple(_visual(visual, seed, rules) for visual in scene.visuals)
     # Who keeps something for each hash must not take one look for another.
-    digest = hashlib.sha256(f"{scene.content_hash} {seed} {rules!r}".encode()).hexdigest() if scene.content_hash else ""
+    digest = hashlib.sha256(f"{scene.content_hash} {seed} {quoted(rules)}".encode()).hexdigest() if scene.content_hash else ""
     return replace(scene, visuals=visuals, light=_light(scene.light, seed, rules.light), content_hash=digest)
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import yaml
-
-from gibson_sim.errors import SceneError
+from gibson_sim.errors import SceneError, TextError
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import is_folder, read_yaml_file
 from gibson_sim.robots.spec import PATTERN_KINDS
 from gibson_sim.scenes.randomise import ClassRules, LightRules, Range, Rules, TextureRules
 from gibson_sim.scenes.textures import IMAGE_SUFFIXES
@@ -29,17 +29,17 @@ def load_rules(path: Path) -> Rules:
         SceneError: the file cannot be read, or a key or a value is wrong.
     """
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+        document = read_yaml_file(path)
     except OSError as e:
         raise SceneError(f"{path}: cannot be read: {e.strerror or e}") from e
-    except (yaml.YAMLError, UnicodeDecodeError) as e:
-        raise SceneError(f"{path}: is no YAML: {' '.join(str(e).split())}") from e
+    except TextError as e:
+        raise SceneError(f"{path}: {e}").telling(e.public) from e
     top = YamlMap(document if document is not None else {}, str(path), ("classes", "light"))
     classes = top.value("classes", {}) or {}
     if not isinstance(classes, dict):
-        raise SceneError(f"{path}: classes is {classes!r}, must be a mapping from class names (or '*') to rules")
+        raise SceneError(f"{path}: classes is {quoted(classes)}, must be a mapping from class names (or '*') to rules")
     rules = {
-        str(name): _class_rules(YamlMap(item or {}, f"{path}: class {name!r}", _CLASS_KEYS), path)
+        str(name): _class_rules(YamlMap(item or {}, f"{path}: class {quoted(name)}", _CLASS_KEYS), path)
         for name, item in classes.items()
     }
     return Rules(rules, _light_rules(YamlMap(top.value("light", {}) or {}, f"{path}: light", _LIGHT_KEYS)))
@@ -49,7 +49,7 @@ def _class_rules(item: YamlMap, path: Path) -> ClassRules:
     default = ClassRules()
     by = item.text("by", "visual")
     if by not in ("visual", "class"):
-        raise SceneError(f"{item.where}: by is {by!r}, must be visual or class")
+        raise SceneError(f"{item.where}: by is {quoted(by)}, must be visual or class")
     texture = item.value("texture", None)
     return ClassRules(
         hue=_range(item, "hue", -1.0, 1.0) or default.hue,
@@ -69,7 +69,7 @@ def _texture_rules(item: YamlMap, path: Path) -> TextureRules:
     names = item.items("patterns") if item.has("patterns") else () if images else default.patterns
     for name in names:
         if name not in generated:
-            raise SceneError(f"{item.where}: patterns has {name!r}, must be of {', '.join(generated)}")
+            raise SceneError(f"{item.where}: patterns has {quoted(name)}, must be of {', '.join(generated)}")
     if not names and not images:
         raise SceneError(f"{item.where}: names neither patterns nor images; give one, or leave texture out")
     return TextureRules(
@@ -85,11 +85,13 @@ def _images(item: YamlMap, path: Path) -> tuple[str, ...]:
     if not item.has("images"):
         return ()
     folder = path.parent / item.text("images", "")
-    if not folder.is_dir():
-        raise SceneError(f"{item.where}: images is {str(folder)!r}, must be a folder")
+    if not is_folder(folder):
+        raise SceneError(f"{item.where}: images is {quoted(str(folder))}, must be a folder")
     found = tuple(str(p.resolve()) for p in sorted(folder.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES)
     if not found:
-        raise SceneError(f"{item.where}: images is {str(folder)!r}, which holds no image; known: {', '.join(IMAGE_SUFFIXES)}")
+        raise SceneError(
+            f"{item.where}: images is {quoted(str(folder))}, which holds no image; known: {', '.join(IMAGE_SUFFIXES)}"
+        )
     return found
 
 

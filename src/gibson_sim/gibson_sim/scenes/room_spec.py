@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gibson_sim.errors import SceneError
+from gibson_sim.quoting import quoted
 
 Bools = NDArray[np.bool_]
 F64 = NDArray[np.float64]
@@ -37,16 +38,16 @@ class RoomSpec:
     def __post_init__(self) -> None:
         count = len(self.polygon)
         if not 3 <= count <= MOST_CORNERS:
-            raise SceneError(f"room {self.name!r}: polygon has {count} corners, must have 3 to {MOST_CORNERS}")
+            raise SceneError(f"room {quoted(self.name)}: polygon has {count} corners, must have 3 to {MOST_CORNERS}")
         if self.area < _SMALLEST_AREA:
             raise SceneError(
-                f"room {self.name!r}: polygon encloses {self.area:g} m^2, must be at least {_SMALLEST_AREA} m^2; give its corners in order"
+                f"room {quoted(self.name)}: polygon encloses {self.area:g} m^2, must be at least {_SMALLEST_AREA} m^2; give its corners in order"
             )
         crossing = _crossing_edges(_corners(self))
         if crossing is not None:
             first, second = ((edge, (edge + 1) % count) for edge in crossing)
             raise SceneError(
-                f"room {self.name!r}: the edge between corners {first[0]} and {first[1]} of its polygon meets the one between "
+                f"room {quoted(self.name)}: the edge between corners {first[0]} and {first[1]} of its polygon meets the one between "
                 f"{second[0]} and {second[1]}; give its corners in order"
             )
 

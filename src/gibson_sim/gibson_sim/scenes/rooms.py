@@ -59,7 +59,7 @@ def find_rooms(floor: FloorMap) -> tuple[tuple[Room, ...], tuple[Door, ...]]:
         return (), ()
     open_places, _ = ndimage.label(floor.distance_to_obstacle > WIDEST_DOOR / 2)
     labels = _flood(floor.distance_to_obstacle, np.asarray(open_places, dtype=np.int64))
-    labels = _merged(labels, _passages(labels))
+    labels = _merged(labels, passages(labels))
     areas = np.bincount(labels.ravel()) * floor.resolution**2
     rooms = {
         label: _room(floor, labels, label, float(areas[label]))
@@ -69,10 +69,10 @@ def find_rooms(floor: FloorMap) -> tuple[tuple[Room, ...], tuple[Door, ...]]:
     order = sorted(rooms, key=lambda label: rooms[label].center)
     number = {int(label): i for i, label in enumerate(order)}
     doors = []
-    for (first, second), pieces in _passages(labels).items():
+    for (first, second), pieces in passages(labels).items():
         if first in number and second in number:
             first, second = sorted((first, second), key=number.__getitem__)
-            doors += [_door(floor, labels, cells, (first, second), (number[first], number[second])) for cells in pieces]
+            doors += [door_at(floor, labels, cells, (first, second), (number[first], number[second])) for cells in pieces]
     wide = [door for door in doors if door.width >= NARROWEST_DOOR]
     return tuple(rooms[label] for label in order), tuple(sorted(wide, key=lambda door: (door.rooms, door.center)))
 
@@ -107,7 +107,7 @@ def _edge(labels: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.asarray((labels > 0) & (ndimage.minimum_filter(labels, size=3, mode="nearest") == 0))
 
 
-def _passages(labels: NDArray[np.int64]) -> dict[tuple[int, int], list[NDArray[np.int64]]]:
+def passages(labels: NDArray[np.int64]) -> dict[tuple[int, int], list[NDArray[np.int64]]]:
     """Returns where two labels meet: for every pair, the lower one first, the cells (N, 2) of each passage between them."""
     borders: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for down, right in ((0, 1), (1, 0)):
@@ -134,7 +134,7 @@ def _merged(labels: NDArray[np.int64], passages: dict[tuple[int, int], list[NDAr
     return np.asarray(name[labels])
 
 
-def _door(
+def door_at(
     floor: FloorMap, labels: NDArray[np.int64], cells: NDArray[np.int64], sides: tuple[int, int], rooms: tuple[int, int]
 ) -> Door:
     """Returns the door whose threshold is ``cells`` (N, 2), between two labels."""

@@ -9,6 +9,7 @@ from typing import Any
 
 from gibson_sim.errors import MeshError, SceneError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.rigid import MOVING_TYPES
 from gibson_sim.robots.scaling import scaled_model
@@ -39,7 +40,7 @@ def read_bodies(builder: SceneBuilder, path: Path, items: list[Any]) -> None:
             )
         name = item.text("name", "") or _free_name(Path(model).stem, builder)
         _check_name(name, builder, item.where)
-        item.where = f"{path}: body {name!r}"
+        item.where = f"{path}: body {quoted(name)}"
         if model not in models:
             models[model] = _read_model(builder, path, model, item.where)
         _add(builder, item, replace(models[model], name=name))
@@ -73,14 +74,16 @@ def _read_model(builder: SceneBuilder, path: Path, model: str, where: str) -> Bo
     """Returns the body that a model describes, at the origin."""
     is_file = "/" in model or "." in model
     if "://" in model or model.startswith(("/", "~")):
-        raise SceneError(f"{where}: model is {model!r}; give the name of an object, or a path below the scene's folder")
+        raise SceneError(f"{where}: model is {quoted(model)}; give the name of an object, or a path below the scene's folder")
     uri = str((path.parent / model).absolute()) if is_file else model
     try:
-        spec = load_spawnable(uri, "", name="body", pose=Pose(), roots=(builder.root,))
+        spec = load_spawnable(uri, "", name="body", pose=Pose(), roots=builder.roots or ())
     except SceneError as e:
         raise SceneError(f"{where}: {e}") from e
     if not isinstance(spec, BodySpec):
-        raise SceneError(f"{where}: model {model!r} is a robot; robots are not part of a scene: give it as --robot, or spawn it")
+        raise SceneError(
+            f"{where}: model {quoted(model)} is a robot; robots are not part of a scene: give it as --robot, or spawn it"
+        )
     return spec
 
 
@@ -109,9 +112,9 @@ def _position(joints: YamlMap, joint: UrdfJoint) -> float:
 
 def _check_name(name: str, builder: SceneBuilder, where: str) -> None:
     if not (name.isascii() and name[:1].isalpha() and name.replace("_", "a").isalnum()):
-        raise SceneError(f"{where}: name is {name!r}; it becomes part of frames in ROS: {_NAME_RULE}")
+        raise SceneError(f"{where}: name is {quoted(name)}; it becomes part of frames in ROS: {_NAME_RULE}")
     if any(name == body.name for body in builder.bodies):
-        raise SceneError(f"{where}: name {name!r} is used twice; names of bodies must differ")
+        raise SceneError(f"{where}: name {quoted(name)} is used twice; names of bodies must differ")
 
 
 def _free_name(base: str, builder: SceneBuilder) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.errors import SceneError
+from gibson_sim.quoting import quoted
 from gibson_sim.scenes.builder import FAR_AWAY, SceneBuilder
 from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.scenes.yaml_map import YamlMap
@@ -25,7 +26,7 @@ def read_rooms(builder: SceneBuilder, path: Path, items: list[Any]) -> None:
         item = YamlMap(content, f"{path}: rooms[{index}]", _KEYS)
         room = _room(item, floors)
         if room.name in names:
-            raise SceneError(f"{item.where}: name {room.name!r} is used twice; names of rooms must differ")
+            raise SceneError(f"{item.where}: name {quoted(room.name)} is used twice; names of rooms must differ")
         names.add(room.name)
         builder.rooms.append(room)
 
@@ -38,7 +39,7 @@ def _room(item: YamlMap, floors: int) -> RoomSpec:
     floor = item.value("floor", 0)
     if not isinstance(floor, int) or isinstance(floor, bool) or not 0 <= floor < floors:
         known = "0, the scene has one floor" if floors == 1 else f"a whole number from 0 to {floors - 1}, as floors has it"
-        raise SceneError(f"{item.where}: floor is {floor!r}, must be {known}")
+        raise SceneError(f"{item.where}: floor is {quoted(floor)}, must be {known}")
     corners = [
         YamlMap({"corner": corner}, f"{item.where}: polygon[{k}]", ("corner",)).floats("corner", 2, -FAR_AWAY, FAR_AWAY)
         for k, corner in enumerate(item.items("polygon"))

@@ -6,18 +6,19 @@ import math
 from pathlib import Path
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
-from gibson_sim.errors import MeshError, SceneError
+from gibson_sim.errors import MeshError, SceneError, TextError
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import parse_yaml
 from gibson_sim.robots.spec import Look, Shape
 from gibson_sim.scenes.builder import FAR_AWAY, SceneBuilder
 from gibson_sim.scenes.mesh_types import UpAxis
 from gibson_sim.scenes.scene_bodies import read_bodies, read_pose
 from gibson_sim.scenes.scene_rooms import read_rooms
 from gibson_sim.scenes.spec import LightSpec, PointLight, StartPose
-from gibson_sim.scenes.yaml_map import YamlMap, parse_yaml
+from gibson_sim.scenes.yaml_map import YamlMap
 from gibson_sim.types import Rgba, Vec3
 
 F64 = NDArray[np.float64]
@@ -30,7 +31,7 @@ _POINT_KEYS = ("position", "color", "strength", "range", "attenuation", "directi
 _START_KEYS = ("name", "xy", "xyz", "yaw_deg")
 _SHAPES = ("mesh", "box", "sphere", "cylinder")
 _OBJECT_KEYS = (
-    "name", *_SHAPES, "pose", "scale", "up_axis", "unit_m", "semantic_class", "collision", "color", "metallic", "roughness",
+    "name", *_SHAPES, "pose", "scale", "up_axis", "unit_m", "semantic_class", "collision", "visible", "color", "metallic", "roughness",
 )  # fmt: skip
 _UP: dict[str, UpAxis] = {"x": "x", "y": "y", "z": "z"}
 
@@ -43,8 +44,8 @@ def read_scene_yaml(builder: SceneBuilder, path: Path) -> None:
     """
     try:
         document = parse_yaml(builder.read_bytes(path))
-    except (yaml.YAMLError, UnicodeDecodeError) as e:
-        raise SceneError(f"{path}: is no YAML: {' '.join(str(e).split())}") from e
+    except TextError as e:
+        raise SceneError(f"{path}: {e}").telling(e.public) from e
     top = YamlMap(document if document is not None else {}, str(path), _SCENE_KEYS)
     builder.name = top.text("name", builder.name)
     builder.description = top.text("description", "")
@@ -67,7 +68,7 @@ def read_scene_yaml(builder: SceneBuilder, path: Path) -> None:
     for index, item in enumerate(top.items("starts")):
         start = _start(YamlMap(item, f"{path}: starts[{index}]", _START_KEYS), floor)
         if start.name in names:
-            raise SceneError(f"{path}: starts[{index}]: name {start.name!r} is used twice; names must be unique")
+            raise SceneError(f"{path}: starts[{index}]: name {quoted(start.name)} is used twice; names must be unique")
         names.add(start.name)
         builder.starts.append(start)
 
@@ -127,7 +128,7 @@ def _object(builder: SceneBuilder, path: Path, item: YamlMap) -> None:
     if len(given) != 1:
         raise SceneError(f"{item.where}: has {', '.join(given) or 'no shape'}; give exactly one of {', '.join(_SHAPES)}")
     name = item.text("name", Path(str(item.value("mesh", given[0]))).stem)
-    item.where = f"{path}: object {name!r}"
+    item.where = f"{path}: object {quoted(name)}"
     matrix = matrix_from_pose(read_pose(item))
     if given[0] == "mesh":
         shape, at = _mesh(builder, path, item, item.text("mesh", ""), matrix)
@@ -136,8 +137,11 @@ def _object(builder: SceneBuilder, path: Path, item: YamlMap) -> None:
             if item.has(key):
                 raise SceneError(f"{item.where}: {key} is for meshes; a {given[0]} has its size in metres")
         shape, at = _primitive(item, given[0]), matrix
-    builder.add_visual(name, shape, at, _color(item), item.text("semantic_class", ""), _look(item))
     collision = item.text("collision", "same")
+    if item.flag("visible", True):
+        builder.add_visual(name, shape, at, _color(item), item.text("semantic_class", ""), _look(item))
+    elif collision == "none":
+        raise SceneError(f"{item.where}: visible is false and collision none: nothing of it is left; leave it out")
     if collision == "same":
         builder.add_collision(name, shape, at)
     elif collision == "simplified":
@@ -152,12 +156,12 @@ def _mesh(builder: SceneBuilder, path: Path, item: YamlMap, name: str, matrix: F
     scale = item.value("scale", 1.0)
     factors: Vec3 = (float(scale),) * 3 if isinstance(scale, int | float) else item.vec3("scale")
     if not (np.isfinite(factors).all() and all(factors)):
-        raise SceneError(f"{item.where}: scale is {scale!r}, must be a number or three numbers, none of them 0")
+        raise SceneError(f"{item.where}: scale is {quoted(scale)}, must be a number or three numbers, none of them 0")
     up_axis = None
     if item.has("up_axis"):
         up_axis = _UP.get(item.text("up_axis", ""))
         if up_axis is None:
-            raise SceneError(f"{item.where}: up_axis is {item.value('up_axis', '')!r}, must be x, y or z")
+            raise SceneError(f"{item.where}: up_axis is {quoted(item.value('up_axis', ''))}, must be x, y or z")
     unit_m = item.number("unit_m", 1.0, low=1e-9) if item.has("unit_m") else None
     try:
         return builder.mesh_shape(path.parent / name, matrix, factors, up_axis, unit_m)

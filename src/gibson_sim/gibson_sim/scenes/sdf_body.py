@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import invert, pose_from_matrix
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.omissions import OmissionKind
 from gibson_sim.robots.spec import Shape
 from gibson_sim.robots.urdf import Inertial, UrdfCollision, UrdfJoint, UrdfLink, UrdfModel, UrdfVisual
@@ -92,7 +93,7 @@ class SdfBodyReader:
         flat = _Flat()
         self._collect(flat, _Scope(model, np.eye(4), "", base, version), (Path(os.path.realpath(self.path)),), 0)
         if not flat.links:
-            raise SceneError(f"{self.path}: model {name!r} has no <link>")
+            raise SceneError(f"{self.path}: model {quoted(name)} has no <link>")
         frozen = (model.findtext("static") or "").strip().lower() in ("1", "true")
         tree = _Tree(self, flat, f"model {name}")
         tree.add_joints()
@@ -112,7 +113,9 @@ class SdfBodyReader:
             if child.tag == "link":
                 link = scope.prefix + name_of(child)
                 if link in flat.links or name_of(child) in ("", WORLD):
-                    raise SceneError(f"{self.path}: {where}: a link is named {link!r}; names must differ, and not be {WORLD!r}")
+                    raise SceneError(
+                        f"{self.path}: {where}: a link is named {quoted(link)}; names must differ, and not be {quoted(WORLD)}"
+                    )
                 if len(flat.links) >= MAX_LINKS:
                     raise SceneError(f"{self.path}: has more than {MAX_LINKS} links; split it")
                 flat.links[link] = (child, scope)
@@ -201,7 +204,7 @@ class SdfBodyReader:
             return default
         values = numbers(text, (1,))
         if values is None:
-            self.builder.warn(f"{where}: <{key}> is {text!r}, must be a finite number", OmissionKind.INVALID)
+            self.builder.warn(f"{where}: <{key}> is {quoted(text)}, must be a finite number", OmissionKind.INVALID)
             return default
         return values[0]
 
@@ -227,12 +230,14 @@ class _Tree:
             parent, child = (self._end(element, scope, tag) for tag in ("parent", "child"))
             axis = joint_axis(element, name, self.builder)
             if not parent or not child:
-                text = f"{self.where}: joint {name!r} names a <parent> or <child> that is not there; left out"
+                text = f"{self.where}: joint {quoted(name)} names a <parent> or <child> that is not there; left out"
                 self.builder.warn(text, OmissionKind.INVALID)
             elif parent == WORLD and axis.kind == "fixed":
                 self.fixed_to_world = True
             elif child == WORLD or parent == child or child in self._parents or self._is_above(child, parent):
-                self.builder.warn(f"{self.where}: joint {name!r} gives {child!r} a second parent or closes a loop; left out")
+                self.builder.warn(
+                    f"{self.where}: joint {quoted(name)} gives {quoted(child)} a second parent or closes a loop; left out"
+                )
             else:
                 if parent == WORLD and not self._world_link:
                     self.fixed_to_world = True

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.omissions import OmissionKind
 from gibson_sim.scenes.builder import SceneBuilder
 from gibson_sim.scenes.sdf_geometry import Element, numbers
@@ -45,7 +46,7 @@ def joint_axis(element: Element, name: str, builder: SceneBuilder) -> JointAxis:
     kind = _KINDS.get(element.get("type", ""))
     where = f"joint {name}"
     if kind is None:
-        builder.warn(f"{where}: type {element.get('type', '')!r} is not simulated; it does not move")
+        builder.warn(f"{where}: type {quoted(element.get('type', ''))} is not simulated; it does not move")
         return JointAxis("fixed")
     axis = element.find("axis")
     if kind == "fixed" or axis is None:
@@ -57,7 +58,7 @@ def joint_axis(element: Element, name: str, builder: SceneBuilder) -> JointAxis:
     values = numbers(text, (3,)) or [0.0, 0.0, 0.0]
     length = math.sqrt(sum(c * c for c in values))
     if length < 1e-9:
-        builder.warn(f"{where}: axis {text!r} is no direction; z is used", OmissionKind.INVALID)
+        builder.warn(f"{where}: axis {quoted(text)} is no direction; z is used", OmissionKind.INVALID)
         values, length = [0.0, 0.0, 1.0], 1.0
     asked = (axis.findtext("use_parent_model_frame") or "").strip().lower()
     lower = _number(axis, "limit/lower", -math.inf, where, builder)
@@ -96,6 +97,6 @@ def _number(axis: Element, path: str, default: float, where: str, builder: Scene
     except ValueError:
         value = math.nan
     if math.isnan(value):
-        builder.warn(f"{where}: <{path.rpartition('/')[2]}> is {text!r}, must be a number", OmissionKind.INVALID)
+        builder.warn(f"{where}: <{path.rpartition('/')[2]}> is {quoted(text)}, must be a number", OmissionKind.INVALID)
         return default
     return value

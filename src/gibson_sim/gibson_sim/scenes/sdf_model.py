@@ -15,33 +15,36 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.errors import MeshError, SceneError
+from gibson_sim.errors import MeshError, SceneError, TextError
 from gibson_sim.geometry.transforms import invert, matrix_from_pose, matrix_from_quat, pose_from_xyz_rpy
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import is_file, parse_xml, read_file
 from gibson_sim.robots.omissions import OmissionKind
 from gibson_sim.robots.spec import Shape
 from gibson_sim.scenes.builder import FAR_AWAY, SceneBuilder, class_from_model
 from gibson_sim.scenes.mesh_types import UpAxis
 from gibson_sim.scenes.sdf_geometry import PLANE_THICKNESS, PRIMITIVES, numbers, plane_box, primitive, visual_color
-from gibson_sim.scenes.textures import is_inside
 from gibson_sim.scenes.uris import UriResolver
-from gibson_sim.types import Vec3
+from gibson_sim.types import Rgba, Vec3
 
 Element = ElementTree.Element
 F64 = NDArray[np.float64]
 _MAX_NESTING = 16
+_PLAIN: Rgba = (0.7, 0.7, 0.7, 1.0)
+"""Colour of what is drawn as its collision shapes."""
 _MAX_MODELS = 10_000
 
 
-def parse_xml(builder: SceneBuilder, path: Path) -> Element:
+def read_sdf(builder: SceneBuilder, path: Path) -> Element:
     """Returns the root of an SDF file.
 
     Raises:
         SceneError: it is not there or no XML.
     """
     try:
-        return ElementTree.fromstring(builder.read_bytes(path))
-    except ElementTree.ParseError as e:
-        raise SceneError(f"{path}: is no well-formed XML: {e}") from e
+        return parse_xml(builder.read_bytes(path))
+    except TextError as e:
+        raise SceneError(f"{path}: {e}").telling(e.public) from e
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,7 +79,7 @@ class SdfModels:
         values = numbers(element.text, (3, 6, 7))
         if values is None:
             text = " ".join((element.text or "").split())
-            self.builder.warn(f"{where}: <pose> {text!r} is no six numbers; taken as zero", OmissionKind.INVALID)
+            self.builder.warn(f"{where}: <pose> {quoted(text)} is no six numbers; taken as zero", OmissionKind.INVALID)
             return np.eye(4)
         xyz: Vec3 = (values[0], values[1], values[2])
         if len(values) == 7:
@@ -95,7 +98,9 @@ class SdfModels:
         if name in ("", "__model__", model.get("name")):
             return np.eye(4)
         if depth > _MAX_NESTING:
-            self.builder.warn(f"{where}: frame {name!r} is relative to itself; taken as the model's own", OmissionKind.INVALID)
+            self.builder.warn(
+                f"{where}: frame {quoted(name)} is relative to itself; taken as the model's own", OmissionKind.INVALID
+            )
             return np.eye(4)
         for child in model:
             if child.tag in ("link", "frame", "joint", "model", "include") and name_of(child) == name:
@@ -104,7 +109,7 @@ class SdfModels:
         for child in model if rest else ():
             if child.tag == "model" and name_of(child) == head:
                 return self.placed(model, child, where, depth) @ self.frame(child, rest, where, depth + 1)
-        self.builder.warn(f"{where}: frame {name!r} is unknown; the model's own is used", OmissionKind.INVALID)
+        self.builder.warn(f"{where}: frame {quoted(name)} is unknown; the model's own is used", OmissionKind.INVALID)
         return np.eye(4)
 
     def placed(self, model: Element, child: Element, where: str, depth: int = 0) -> F64:
@@ -123,10 +128,10 @@ class SdfModels:
     def document(self, path: Path) -> Element | None:
         """Returns the <model> of an SDF file, or None after a warning; the file is parsed once."""
         if path not in self._documents:
-            if not is_inside(path, self.builder.roots):
+            if not self.builder.admits(path):
                 self.builder.warn(f"{path}: lies outside the scene's folder; left out", OmissionKind.UNSUPPORTED_ASSET)
                 return None
-            root = parse_xml(self.builder, path)
+            root = read_sdf(self.builder, path)
             model = root.find("model") if root.tag == "sdf" else root if root.tag == "model" else None
             if model is None:
                 self.builder.warn(f"{path}: holds no <model>; left out", OmissionKind.UNSUPPORTED_ASSET)
@@ -194,10 +199,10 @@ class SdfModels:
             reason = "is on the network: download it and name the copy" if uri.startswith("http") else "is not there"
             self.builder.warn(f"model {uri or '(without a uri)'} {reason}; left out", OmissionKind.MISSING_ASSET)
             return None
-        if found.is_file():
+        if is_file(found):
             return found
         for candidate in sdf_files(found):
-            if candidate.is_file():
+            if is_file(candidate):
                 return candidate
         self.builder.warn(f"model {uri}: {found} holds no model.sdf; left out", OmissionKind.MISSING_ASSET)
         return None
@@ -237,15 +242,30 @@ class SdfModels:
                 self.model(child, T_world_model @ self.placed(model, child, where), top, base, depth + 1, files=files)
         links = [(link, T_world_model @ self.placed(model, link, where)) for link in model.iterfind("link")]
         has_collision = any(link.find("collision") is not None for link, _ in links)
+        seen, solid = 0, 0
         for link, T_world_link in links:
-            for element in link.iterfind("visual"):
+            visuals = [
                 self._visual(model, element, T_world_model, T_world_link, top, base, class_from_model(kind), not has_collision)
+                for element in link.iterfind("visual")
+            ]
+            seen += sum(visuals)
+            # What was to be drawn is not there: what it bumps into stands for it, lest it be an invisible obstacle.
+            lost = bool(visuals) and not any(visuals)
             for element in link.iterfind("collision"):
                 for shape, matrix, plane in self.shapes(model, element, T_world_model, T_world_link, top, base):
                     if plane:
                         self._ground(matrix, where)
-                    else:
-                        self.builder.add_collision(top, shape, matrix)
+                        continue
+                    solid += 1
+                    self.builder.add_collision(top, shape, matrix)
+                    if lost:
+                        seen += 1
+                        self.builder.add_visual(top, shape, matrix, _PLAIN, class_from_model(kind))
+                        self.builder.warn(
+                            f"{where}: is drawn as its collision shapes, in plain grey: nothing else of it can be drawn"
+                        )
+        if solid and not seen:
+            self.builder.warn(f"{where}: is solid but invisible: it has collision shapes, and nothing to draw")
 
     def _visual(
         self,
@@ -257,13 +277,18 @@ class SdfModels:
         base: Path,
         kind: str,
         solid: bool,
-    ) -> None:
+    ) -> bool:
+        """Places a <visual>; returns whether it is drawn, or meant not to be."""
         color, visible = visual_color(element)
+        geometry = element.find("geometry")
+        used = not visible or geometry is None or geometry.find("empty") is not None
         for shape, matrix, _ in self.shapes(model, element, T_world_model, T_world_link, top, base):
+            used = True
             if visible:
                 self.builder.add_visual(top, shape, matrix, color, kind)
             if solid:
                 self.builder.add_collision(top, shape, matrix)
+        return used
 
     def _ground(self, matrix: F64, where: str) -> None:
         if matrix[2, 2] < 0.999:
@@ -362,10 +387,10 @@ def sdf_files(folder: Path) -> list[Path]:
     named: list[tuple[tuple[float, ...], Path]] = []
     config = folder / "model.config"
     try:
-        for element in ElementTree.parse(config).getroot().iterfind("sdf") if config.is_file() else ():
+        for element in parse_xml(read_file(config)).iterfind("sdf") if is_file(config) else ():
             version = tuple(float(v) for v in element.get("version", "0").split(".") if v.isdigit())
             named.append((version, folder / (element.text or "").strip()))
-    except (OSError, ElementTree.ParseError):
+    except (OSError, TextError):
         # Without a readable model.config the usual name is tried.
         named = []
     return [path for _, path in sorted(named, reverse=True)] + [folder / "model.sdf"]

@@ -10,10 +10,11 @@ from xml.etree import ElementTree
 import numpy as np
 
 from gibson_sim.errors import SceneError
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.omissions import OmissionKind
 from gibson_sim.scenes.builder import SceneBuilder
 from gibson_sim.scenes.sdf_geometry import numbers
-from gibson_sim.scenes.sdf_model import SdfModels, parse_xml
+from gibson_sim.scenes.sdf_model import SdfModels, read_sdf
 from gibson_sim.scenes.spec import LightSpec, PointLight
 from gibson_sim.scenes.uris import UriResolver
 from gibson_sim.types import Vec3
@@ -31,7 +32,7 @@ def read_sdf_world(builder: SceneBuilder, path: Path) -> None:
     Raises:
         SceneError: the file is no SDF world.
     """
-    place_world(builder, parse_xml(builder, path), path)
+    place_world(builder, read_sdf(builder, path), path)
 
 
 def place_world(builder: SceneBuilder, root: Element, path: Path) -> None:
@@ -49,7 +50,7 @@ def place_world(builder: SceneBuilder, root: Element, path: Path) -> None:
     if world is None:
         raise SceneError(f"{path}: holds no <world>; name a world file or a mesh")
     if len(root.findall("world")) > 1:
-        text = f"{path}: holds several worlds; the first, {world.get('name', '')!r}, is used"
+        text = f"{path}: holds several worlds; the first, {quoted(world.get('name', ''))}, is used"
         builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
     gravity = numbers(world.findtext("gravity"), (3,)) or numbers(world.findtext("physics/gravity"), (3,))
     if gravity is not None:
@@ -63,7 +64,7 @@ def place_world(builder: SceneBuilder, root: Element, path: Path) -> None:
         elif child.tag == "include":
             _include(builder, models, world, child, path.parent)
         elif child.tag in ("actor", "population", "road"):
-            text = f"<{child.tag}> {child.get('name', '')!r} is not supported; left out"
+            text = f"<{child.tag}> {quoted(child.get('name', ''))} is not supported; left out"
             builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
 
 

@@ -9,17 +9,18 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from gibson_sim.errors import SceneError, SceneNotFoundError
-from gibson_sim.scenes.textures import is_inside
-from gibson_sim.scenes.uris import environment_folders, exists, installed_paths
+from gibson_sim.reading import exists
+from gibson_sim.scenes.file_roots import is_inside
+from gibson_sim.scenes.uris import environment_folders, installed_paths
 
 MAX_BYTES = 512 * 1024 * 1024
 """Of a mesh."""
-MAX_DESCRIPTION_BYTES = 32 * 1024 * 1024
-"""Of a file that is read as text."""
 NOWHERE = Path("/nonexistent")
 """Folder of what came as a string: nothing lies beside it."""
 SCHEMES = ("file", "package", "model")
-_MAX_ENTRIES = 200_000
+_MAX_ENTRIES = 20_000
+_MAX_LEVELS = 12
+"""Folders below a folder that is searched."""
 _MAX_PATH, _MAX_NAME = 4096, 255
 """Bytes; of Linux."""
 
@@ -106,9 +107,12 @@ def walk(folder: Path) -> Iterator[tuple[Path, list[str], list[str]]]:
         SceneNotFoundError: there are too many files.
     """
     count = 0
+    top = len(folder.parts)
     for where, folders, files in os.walk(folder):
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
-        count += len(files)
+        count += len(files) + len(folders)
         if count > _MAX_ENTRIES:
-            raise SceneNotFoundError(f"{folder}: holds more than {_MAX_ENTRIES} files; name a folder further down")
+            raise SceneNotFoundError(f"{folder}: holds more than {_MAX_ENTRIES} files and folders; name a folder further down")
+        if len(Path(where).parts) - top >= _MAX_LEVELS:
+            folders.clear()
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
         yield Path(where), folders, sorted(name for name in files if not name.startswith("."))

@@ -6,14 +6,14 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from xml.etree import ElementTree
 
-from gibson_sim.errors import RobotError, SceneNotFoundError
+from gibson_sim.errors import RobotError, SceneNotFoundError, TextError
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import exists, is_file, is_folder, parse_xml, read_file
 from gibson_sim.resources import share_folders
 from gibson_sim.robots.load import ROBOT_FILE, load_robot
 from gibson_sim.scenes.mesh import MESH_SUFFIXES
 from gibson_sim.scenes.sources import path_of, walk
-from gibson_sim.scenes.uris import exists
 from gibson_sim.types import Vec3
 
 _log = logging.getLogger(__name__)
@@ -37,11 +37,11 @@ def own_spawnables(only: str = "") -> dict[str, Path]:
     found: dict[str, Path] = {}
     for share in share_folders():
         for folder in (share / "config" / "robots", share / "robots", share / "scenes" / "objects", share / "objects"):
-            for entry in sorted(folder.iterdir()) if folder.is_dir() else ():
+            for entry in sorted(folder.iterdir()) if is_folder(folder) else ():
                 if only and only not in (entry.name, entry.stem):
                     continue
                 if not entry.name.startswith((".", "_")) and _kind(entry):
-                    found.setdefault(entry.stem if entry.is_file() else entry.name, entry)
+                    found.setdefault(entry.stem if is_file(entry) else entry.name, entry)
     return dict(sorted(found.items())) if not only else {name: path for name, path in found.items() if name == only}
 
 
@@ -54,15 +54,20 @@ def find_spawnables(sources: Sequence[str]) -> tuple[Spawnable, ...]:
     Raises:
         SceneNotFoundError: one of them is not there.
     """
-    ours = [Spawnable(name, _described(path), _robot_bounds(path)) for name, path in own_spawnables().items()]
+    ours = tuple(Spawnable(name, _described(path), _robot_bounds(path)) for name, path in own_spawnables().items())
+    return (*ours, *spawnables_below(sources))
+
+
+def spawnables_below(sources: Sequence[str]) -> tuple[Spawnable, ...]:
+    """Returns what can be spawned in ``sources`` alone, by path; for arguments and errors see ``find_spawnables``."""
     theirs: dict[Path, Spawnable] = {}
     for source in sources:
         path = path_of(source.strip()) or Path(source.strip()).absolute()
         if not source.strip() or not exists(path):
-            raise SceneNotFoundError(f"source {source!r}: there is nothing at {path}; give a folder")
+            raise SceneNotFoundError(f"source {quoted(source)}: there is nothing at {path}; give a folder")
         for entry in _below(path):
             theirs[entry] = Spawnable(entry.absolute().as_uri(), _described(entry))
-    return (*ours, *(theirs[path] for path in sorted(theirs)))
+    return tuple(theirs[path] for path in sorted(theirs))
 
 
 def _below(path: Path) -> list[Path]:
@@ -90,24 +95,24 @@ def _below(path: Path) -> list[Path]:
 def _kind(path: Path) -> str:
     """Returns what a file or a folder is, "" if it is nothing to spawn."""
     suffix = path.suffix.lower()
-    if path.is_dir():
-        if (path / ROBOT_FILE).is_file():
+    if is_folder(path):
+        if is_file(path / ROBOT_FILE):
             return "robot"
-        if (path / "model.config").is_file() or (path / "model.sdf").is_file():
+        if is_file(path / "model.config") or is_file(path / "model.sdf"):
             return "SDF model"
         # A folder that is named after what it holds: chair/chair.urdf.
-        return next(
-            (f"{s[1:].upper()} file" for s in (".urdf", ".sdf", *MESH_SUFFIXES) if (path / (path.name + s)).is_file()), ""
-        )
+        return next((f"{s[1:].upper()} file" for s in (".urdf", ".sdf", *MESH_SUFFIXES) if is_file(path / (path.name + s))), "")
     if path.name == ROBOT_FILE:
         return "robot"
     if suffix == ".sdf":
         return "SDF model" if _holds_model(path) else ""
-    return f"{suffix[1:].upper()} file" if suffix in (".urdf", *MESH_SUFFIXES) and path.is_file() else ""
+    return f"{suffix[1:].upper()} file" if suffix in (".urdf", *MESH_SUFFIXES) and is_file(path) else ""
 
 
 def _holds_model(path: Path) -> bool:
     """Returns whether an SDF file has a model in it and no world."""
+    if not is_file(path):  # a pipe would be waited for
+        return False
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD_BYTES)
@@ -119,10 +124,10 @@ def _holds_model(path: Path) -> bool:
 def _described(path: Path) -> str:
     """Returns one line about a file or folder: the text of its model.config, else what it is."""
     config = path / "model.config"
-    if config.is_file():
+    if is_file(config):
         try:
-            text = " ".join((ElementTree.parse(config).getroot().findtext("description") or "").split())
-        except (OSError, ElementTree.ParseError):
+            text = " ".join((parse_xml(read_file(config)).findtext("description") or "").split())
+        except (OSError, TextError):
             text = ""
         if text:
             return text
@@ -131,7 +136,7 @@ def _described(path: Path) -> str:
 
 def _robot_bounds(path: Path) -> tuple[Vec3, Vec3] | None:
     """Returns the box around a robot's radius and height, None for everything else."""
-    if not (path / ROBOT_FILE).is_file():
+    if not is_file(path / ROBOT_FILE):
         return None
     try:
         robot = load_robot(path / ROBOT_FILE)

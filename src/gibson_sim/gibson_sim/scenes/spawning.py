@@ -11,7 +11,8 @@ from enum import Enum, auto
 from pathlib import Path
 from xml.etree import ElementTree
 
-from gibson_sim.errors import GibsonSimError, MeshError, RobotError, SceneError, SceneNotFoundError
+from gibson_sim.errors import GibsonSimError, MeshError, RobotError, SceneError, SceneNotFoundError, TextError
+from gibson_sim.reading import MAX_TEXT_BYTES, exists, is_file, is_folder, parse_xml, read_file
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.load import ROBOT_FILE, load_robot
 from gibson_sim.robots.mesh_files import resolve_mesh
@@ -21,14 +22,15 @@ from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.robots.urdf import UrdfModel, parse_urdf, read_urdf
 from gibson_sim.robots.xacro import is_xacro
 from gibson_sim.scenes.builder import SceneBuilder, class_from_model
+from gibson_sim.scenes.file_roots import description_roots
 from gibson_sim.scenes.mesh import MESH_SUFFIXES, MeshLoader
 from gibson_sim.scenes.mesh_body import mesh_body
 from gibson_sim.scenes.plausible import check_plausible
 from gibson_sim.scenes.sdf_body import WORLD, SdfBodyReader
 from gibson_sim.scenes.sdf_model import SdfModels, sdf_files, sdf_version
-from gibson_sim.scenes.sources import MAX_BYTES, MAX_DESCRIPTION_BYTES, NOWHERE, check_file, check_inside, path_of, said
+from gibson_sim.scenes.sources import MAX_BYTES, NOWHERE, check_file, check_inside, path_of, said
 from gibson_sim.scenes.spawnables import Spawnable, find_spawnables, own_spawnables
-from gibson_sim.scenes.uris import UriResolver, ancestors, exists
+from gibson_sim.scenes.uris import UriResolver, ancestors
 from gibson_sim.types import Pose
 
 __all__ = [
@@ -37,7 +39,10 @@ __all__ = [
 
 SPAWN_FORMATS: tuple[str, ...] = ("urdf", "sdf", "robot.yaml", *(suffix[1:] for suffix in MESH_SUFFIXES))
 """What can be spawned, as in SimulatorFeatures.spawn_formats."""
+MAX_PARTS = 2000
+"""Meshes in the nodes of a glTF that is spawned: a thing has few, and each takes time."""
 _TEXT = NOWHERE / "resource_string"
+_NOTHING = "neither a uri nor a resource_string is given; give one of them"
 _ALLOWED = f"give a {ROBOT_FILE}, a URDF, an SDF model, a folder with one of these, or a mesh ({', '.join(MESH_SUFFIXES)})"
 
 
@@ -51,12 +56,23 @@ class SpawnFailure(Enum):
     UNSUPPORTED_ASSETS = auto()
 
 
+_TOLD = {
+    SpawnFailure.UNSUPPORTED_FORMAT: f"is nothing that can be spawned; {_ALLOWED}",
+    SpawnFailure.NO_RESOURCE: "is not there, or may not be read",
+    SpawnFailure.RESOURCE_PARSE_ERROR: "holds a mistake",
+    SpawnFailure.MISSING_ASSETS: "names files that are not there",
+    SpawnFailure.UNSUPPORTED_ASSETS: "names meshes, textures or elements that cannot be used",
+}
+"""What a client is told who may not see the file, unless the error itself says more."""
+
+
 class SpawnError(SceneError):
     """Something cannot be spawned; one line."""
 
     def __init__(self, code: SpawnFailure, message: str) -> None:
         super().__init__(said(message))
         self.code = code
+        self.public = _TOLD[code]
 
 
 def load_spawnable(uri: str, text: str, *, name: str, pose: Pose, roots: tuple[Path, ...] = ()) -> BodySpec | RobotSpec:
@@ -78,17 +94,17 @@ def load_spawnable(uri: str, text: str, *, name: str, pose: Pose, roots: tuple[P
     file = _description(path)
     try:
         check_inside(file, roots, uri)
-        check_file(file, MAX_BYTES if file.suffix.lower() in MESH_SUFFIXES else MAX_DESCRIPTION_BYTES)
+        check_file(file, MAX_BYTES if file.suffix.lower() in MESH_SUFFIXES else MAX_TEXT_BYTES)
     except SceneNotFoundError as e:
-        raise SpawnError(SpawnFailure.NO_RESOURCE, str(e)) from e
+        raise SpawnError(SpawnFailure.NO_RESOURCE, str(e)).telling("is no file that may be read") from e
     except SceneError as e:
-        raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{e}; {_ALLOWED}") from e
+        raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{e}; {_ALLOWED}").telling(f"is no such file; {_ALLOWED}") from e
     suffix = file.suffix.lower()
     if suffix in (".yaml", ".yml"):
         return _robot(file, name, pose, roots)
     if suffix in MESH_SUFFIXES:
         return _mesh(file, name, pose, roots)
-    return _described(_read(file), file, name, pose, roots, is_file=True)
+    return _described(_read(file), file, name, pose, roots, from_file=True)
 
 
 def spawn_name(uri: str, text: str) -> str:
@@ -99,7 +115,7 @@ def spawn_name(uri: str, text: str) -> str:
         file = _description(_resolve(uri.strip(), ())[0])
         if file.suffix.lower() in MESH_SUFFIXES:
             return ""
-        check_file(file, MAX_DESCRIPTION_BYTES)
+        check_file(file, MAX_TEXT_BYTES)
         if file.suffix.lower() in (".yaml", ".yml"):
             return read_urdf(load_robot(file).urdf).name
         return _first_name(_read(file))
@@ -114,7 +130,7 @@ def _resolve(uri: str, roots: tuple[Path, ...]) -> tuple[Path, tuple[Path, ...]]
         if path is None:
             own = own_spawnables(uri).get(uri) if uri else None
             if own is not None:
-                return own, (*roots, own.parent) if roots else ()
+                return own, (*roots, *description_roots(own.parent, _description(own))) if roots else ()
             path = Path(uri).absolute()
             # A mistyped name should not read as a missing file.
             if not exists(path) and "/" not in uri:
@@ -124,7 +140,8 @@ def _resolve(uri: str, roots: tuple[Path, ...]) -> tuple[Path, tuple[Path, ...]]
         if not exists(path):
             raise SceneNotFoundError(f"{uri}: there is nothing at {path}")
     except SceneNotFoundError as e:
-        raise SpawnError(SpawnFailure.NO_RESOURCE, str(e)) from e
+        # Nothing was read yet: it is about what the client wrote.
+        raise SpawnError(SpawnFailure.NO_RESOURCE, str(e)).telling(str(e)) from e
     return path, roots
 
 
@@ -134,7 +151,7 @@ def _description(path: Path) -> Path:
     Raises:
         SpawnError: it is of a kind that cannot be read.
     """
-    if not path.is_dir():
+    if not is_folder(path):
         if path.name == "model.config":
             return _description(path.parent)
         if path.suffix.lower() == ".xacro":
@@ -143,7 +160,7 @@ def _description(path: Path) -> Path:
             raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: is nothing that can be spawned; {_ALLOWED}")
         return path
     for file in (path / ROBOT_FILE, *sdf_files(path)):
-        if file.is_file():
+        if is_file(file):
             return file
     try:
         inside = sorted(path.iterdir())
@@ -162,34 +179,34 @@ def _description(path: Path) -> Path:
 
 def _text_body(text: str, name: str, pose: Pose, roots: tuple[Path, ...]) -> BodySpec:
     if not text.strip():
-        raise SpawnError(SpawnFailure.NO_RESOURCE, "neither a uri nor a resource_string is given; give one of them")
+        raise SpawnError(SpawnFailure.NO_RESOURCE, _NOTHING).telling(_NOTHING)
     # XML may not begin with the blank line that strings in code often begin with.
     data = text.strip().encode("utf-8", errors="replace")
-    if len(data) > MAX_DESCRIPTION_BYTES:
+    if len(data) > MAX_TEXT_BYTES:
         raise SpawnError(
-            SpawnFailure.UNSUPPORTED_FORMAT, f"resource_string has {len(data)} bytes, must be at most {MAX_DESCRIPTION_BYTES}"
+            SpawnFailure.UNSUPPORTED_FORMAT, f"resource_string has {len(data)} bytes, must be at most {MAX_TEXT_BYTES}"
         )
-    return _described(data, _TEXT, name, pose, roots, is_file=False)
+    return _described(data, _TEXT, name, pose, roots, from_file=False)
 
 
-def _described(data: bytes, path: Path, name: str, pose: Pose, roots: tuple[Path, ...], *, is_file: bool) -> BodySpec:
+def _described(data: bytes, path: Path, name: str, pose: Pose, roots: tuple[Path, ...], *, from_file: bool) -> BodySpec:
     """Returns the body that a URDF or an SDF model describes; which it is shows in its outermost element."""
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: is no XML; give a URDF (<robot>) or an SDF model (<sdf>)")
     try:
-        top = ElementTree.fromstring(data)
-    except (ElementTree.ParseError, ValueError, LookupError) as e:
+        top = parse_xml(data)
+    except TextError as e:
         if is_xacro(data):
             raise _xacro_error(path) from e
-        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, f"{path}: is no well-formed XML: {e}") from e
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, f"{path}: {e}").telling(e.public if from_file else str(e)) from e
     if is_xacro(data, top):
         raise _xacro_error(path)
     # Files of a model lie beside it, or beside the folders above it.
     folder = path.parent
-    root = ancestors(folder)[-1] if is_file and ancestors(folder) else folder
+    root = ancestors(folder)[-1] if from_file and ancestors(folder) else folder
     uris = UriResolver(root, folder)
     if top.tag == "robot":
-        return _urdf(data, path, name, pose, roots, uris, is_file=is_file)
+        return _urdf(data, path, name, pose, roots, uris, from_file=from_file)
     if top.tag in ("sdf", "gazebo"):
         return _sdf(top, path, name, pose, roots, uris)
     raise SpawnError(
@@ -198,20 +215,20 @@ def _described(data: bytes, path: Path, name: str, pose: Pose, roots: tuple[Path
 
 
 def _urdf(
-    data: bytes, path: Path, name: str, pose: Pose, roots: tuple[Path, ...], uris: UriResolver, *, is_file: bool
+    data: bytes, path: Path, name: str, pose: Pose, roots: tuple[Path, ...], uris: UriResolver, *, from_file: bool
 ) -> BodySpec:
     def find(mesh: str, urdf: Path) -> Path | None:
         try:
-            found = resolve_mesh(mesh, urdf) if is_file else None
+            found = resolve_mesh(mesh, urdf) if from_file else None
         except (OSError, ValueError):
             found = None
         found = found or uris.find(mesh, urdf.parent)
-        return found if found is not None and found.is_file() else None
+        return found if found is not None and is_file(found) else None
 
     try:
         model = parse_urdf(data, path, find)
     except RobotError as e:
-        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)) from e
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(_public(SpawnFailure.RESOURCE_PARSE_ERROR, e)) from e
     _check(model, _loader(roots), read=True)
     root = model.links[0]
     # Gazebo's way to say that nothing moves it: a root link `world` with nothing in it.
@@ -224,7 +241,7 @@ def _sdf(top: ElementTree.Element, path: Path, name: str, pose: Pose, roots: tup
     if model is None:
         hint = "it holds a <world>: load it as one" if top.find("world") is not None else "give an SDF file with a model"
         raise SpawnError(SpawnFailure.UNSUPPORTED_FORMAT, f"{path}: holds no <model>; {hint}")
-    builder = SceneBuilder(name, path.parent, roots or (Path("/"),), max_bytes=MAX_BYTES)
+    builder = SceneBuilder(name, path.parent, roots or None, description=path, max_bytes=MAX_BYTES)
     try:
         if len(top.findall("model")) > 1:
             builder.warn(f"{path}: holds several models; the first is used")
@@ -232,7 +249,7 @@ def _sdf(top: ElementTree.Element, path: Path, name: str, pose: Pose, roots: tup
     except SceneError as e:
         # What is missing explains why too little is left.
         _raise_for(builder.warnings)
-        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)) from e
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(_public(SpawnFailure.RESOURCE_PARSE_ERROR, e)) from e
     _check(body.model, builder.loader, read=False)
     return BodySpec(name, body.model, pose, body.static, class_from_model(body.model.name))
 
@@ -244,7 +261,8 @@ def _robot(file: Path, name: str, pose: Pose, roots: tuple[Path, ...]) -> RobotS
         model = read_urdf(robot.urdf)
     except RobotError as e:
         missing = isinstance(e.__cause__, FileNotFoundError)
-        raise SpawnError(SpawnFailure.MISSING_ASSETS if missing else SpawnFailure.RESOURCE_PARSE_ERROR, str(e)) from e
+        code = SpawnFailure.MISSING_ASSETS if missing else SpawnFailure.RESOURCE_PARSE_ERROR
+        raise SpawnError(code, str(e)).telling(_public(code, e)) from e
     except SceneNotFoundError as e:
         raise SpawnError(SpawnFailure.NO_RESOURCE, str(e)) from e
     _check(model, _loader(roots), read=True)
@@ -256,13 +274,17 @@ def _mesh(file: Path, name: str, pose: Pose, roots: tuple[Path, ...]) -> BodySpe
     try:
         model = mesh_body(file, loader)
     except MeshError as e:
-        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)) from e
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(_public(SpawnFailure.RESOURCE_PARSE_ERROR, e)) from e
     _check(model, loader, read=False)
     return BodySpec(name, model, pose, False, class_from_model(file.stem))
 
 
+def _public(code: SpawnFailure, error: GibsonSimError) -> str:
+    return f"{_TOLD[code]}: {error.public}" if error.public else _TOLD[code]
+
+
 def _loader(roots: tuple[Path, ...]) -> MeshLoader:
-    return MeshLoader(roots or (Path("/"),), textures=False, max_bytes=MAX_BYTES)
+    return MeshLoader(roots or None, textures=False, max_bytes=MAX_BYTES, max_parts=MAX_PARTS)
 
 
 def _check(model: UrdfModel, loader: MeshLoader, *, read: bool) -> None:
@@ -287,7 +309,7 @@ def _check(model: UrdfModel, loader: MeshLoader, *, read: bool) -> None:
         check_plausible(model, loader)
         rigid_groups(model)  # counts joints
     except (SceneError, RobotError) as e:
-        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)) from e
+        raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(_public(SpawnFailure.RESOURCE_PARSE_ERROR, e)) from e
     _raise_for(lines)
 
 
@@ -306,7 +328,7 @@ def _raise_for(lines: Sequence[str]) -> None:
 
 def _read(file: Path) -> bytes:
     try:
-        return file.read_bytes()
+        return read_file(file)
     except OSError as e:
         raise SpawnError(SpawnFailure.NO_RESOURCE, f"{file}: cannot be read: {e.strerror or e}") from e
 
@@ -319,8 +341,8 @@ def _xacro_error(path: Path) -> SpawnError:
 
 def _first_name(data: bytes) -> str:
     try:
-        top = ElementTree.fromstring(data)
-    except (ElementTree.ParseError, ValueError, LookupError):
+        top = parse_xml(data)
+    except TextError:
         return ""
     element = top if top.tag == "robot" else top.find("model")
     return "" if element is None else element.get("name", "").strip()

@@ -11,8 +11,6 @@ from gibson_sim.robots.spec import RobotSpec, Shape, VisualSpec
 from gibson_sim.scenes.room_spec import RoomSpec, room_at
 from gibson_sim.types import CameraSpec, Pose, Vec3
 
-WORLD_FRAME = "map"
-"""Name in ROS of the world frame (REP 105)."""
 UNLABELLED = "unlabelled"
 """Name of semantic class 0."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,19 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import MeshError
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import is_file, is_folder, read_file
 from gibson_sim.robots.omissions import Omission, OmissionKind
-from gibson_sim.scenes.image_header import MAX_PIXELS, image_size
+from gibson_sim.scenes.file_roots import in_any_case, is_inside
+from gibson_sim.scenes.image_header import MAX_IMAGE_BYTES, MAX_PIXELS, image_size
 from gibson_sim.scenes.mesh_types import TextureSource
 
 Warn = Callable[[str], None]
 Decode = bool | Literal["sizes"]
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".webp", ".gif", ".ppm")
-
-
-def is_inside(path: Path, roots: Sequence[Path]) -> bool:
-    """Whether the file, symbolic links followed, lies under one of ``roots``."""
-    resolved = Path(os.path.realpath(path))
-    return any(resolved.is_relative_to(os.path.realpath(root)) for root in roots)
 
 
 def local_path(uri: str, folder: Path) -> Path:
@@ -51,6 +49,12 @@ class TextureStore:
         self._by_file: dict[Path, TextureSource | None] = {}
         self._encoded: dict[int, tuple[TextureSource, bytes]] = {}
 
+    def within(self, roots: Sequence[Path]) -> TextureStore:
+        """Returns this store, with all that it has decoded, for files that may name images in other folders."""
+        other = copy.copy(self)
+        other.roots = tuple(roots)
+        return other
+
     def from_uri(self, uri: str, mesh: Path, files: list[Path], warn: Warn, *, search: bool = True) -> TextureSource | None:
         """Returns the image that ``mesh`` names, or None after a warning; with ``decode`` off always None.
 
@@ -65,9 +69,12 @@ class TextureStore:
             MeshError: the image has more than ``MAX_PIXELS``.
         """
         wanted = local_path(uri, mesh.parent)
-        path = wanted if wanted.is_file() else (self._nearby(wanted, mesh) if search else None)
+        path = wanted if is_file(wanted) else (self._nearby(wanted, mesh) if search else None)
         if not is_inside(path or wanted, self.roots):
-            text = f"{mesh}: texture {uri!r} lies outside the scene's folder; it is not read, the surface is drawn without it"
+            text = (
+                f"{mesh}: texture {quoted(uri)} lies outside the folder of the mesh and of its model; it is not read, "
+                "put it beside the mesh"
+            )
             warn(Omission(text, OmissionKind.UNSUPPORTED_ASSET))
             return None
         if path is None:
@@ -82,7 +89,10 @@ class TextureStore:
         if not self.decode:
             return None
         if path not in self._by_file:
-            pixels = self._pixels(str(path), path.read_bytes())
+            try:
+                pixels = self._pixels(str(path), read_file(path, MAX_IMAGE_BYTES))
+            except OSError:
+                pixels = None
             self._by_file[path] = None if pixels is None else TextureSource(str(path), pixels)
         if self._by_file[path] is None:
             text = f"{mesh}: texture {path.name} cannot be decoded ({path}); the surface is drawn without it"
@@ -133,13 +143,13 @@ class TextureStore:
         """Returns an image of the wanted name in the usual folders near the mesh, else the only image beside the mesh."""
         here = mesh.parent
         folders = (wanted.parent, here, here / "textures", here.parent / "textures", here.parent / "materials" / "textures")
-        for folder in folders:
-            if not (folder.is_dir() and is_inside(folder, self.roots)):
+        for folder in map(in_any_case, folders):
+            if not (is_folder(folder) and is_inside(folder, self.roots)):
                 continue
             for entry in sorted(folder.iterdir()):
-                if entry.name.lower() == wanted.name.lower() and entry.is_file():
+                if entry.name.lower() == wanted.name.lower() and is_file(entry):
                     return entry
-        images = [p for p in sorted(here.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file()]
+        images = [p for p in sorted(here.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES and is_file(p)]
         # Scans come as one mesh and one image, and the image is the file that gets renamed.
         return images[0] if len(images) == 1 and mesh.suffix.lower() == ".obj" else None
 

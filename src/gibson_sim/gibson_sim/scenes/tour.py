@@ -10,6 +10,7 @@ from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
 from gibson_sim.errors import ConfigError, SceneError
+from gibson_sim.quoting import quoted
 from gibson_sim.scenes.floor_map import FloorMap
 
 F64 = NDArray[np.float64]
@@ -72,7 +73,7 @@ def plan_tour(floor_map: FloorMap, start_xy: tuple[float, float], radius: float,
         SceneError: the start is walled in.
     """
     if not (math.isfinite(length_m) and length_m > 0 and math.isfinite(radius) and radius > 0):
-        raise ConfigError(f"tour: length is {length_m!r} m and radius {radius!r} m, both must be finite and above 0")
+        raise ConfigError(f"tour: length is {quoted(length_m)} m and radius {quoted(radius)} m, both must be finite and above 0")
     graph = _Graph(floor_map, radius, start_xy)
     pieces: list[F64] = [np.array([start_xy], dtype=np.float64)]
     visited: list[I64] = []

@@ -7,7 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import unquote
 
+from gibson_sim.reading import exists, is_folder
 from gibson_sim.resources import PATH_VARIABLE
+from gibson_sim.scenes.file_roots import in_any_case, is_inside, mirrored
 
 _MODEL_VARIABLES = ("GAZEBO_MODEL_PATH", "GZ_SIM_RESOURCE_PATH", "IGN_GAZEBO_RESOURCE_PATH", "SDF_PATH")
 _LEVELS_UP = 3
@@ -17,7 +19,7 @@ def environment_folders() -> tuple[Path, ...]:
     """Returns the existing model folders of Gazebo's environment variables and of ``$GIBSON_SIM_PATH``."""
     entries = [entry for variable in _MODEL_VARIABLES for entry in _entries(variable)]
     entries += [folder for entry in _entries(PATH_VARIABLE) for folder in (entry / "models", entry / "objects", entry)]
-    return tuple(dict.fromkeys(Path(os.path.realpath(e)) for e in entries if e.is_dir()))
+    return tuple(dict.fromkeys(Path(os.path.realpath(e)) for e in entries if is_folder(e)))
 
 
 def _entries(variable: str) -> list[Path]:
@@ -36,6 +38,22 @@ def installed_paths(rest: str) -> Iterator[Path]:
         yield from (entry / below / inner for entry in _entries(variable))
 
 
+def is_registered(path: Path) -> bool:
+    """Returns whether a file lies in a folder of the user's environment, or in a link that mirrors one.
+
+    These are the model folders, and the packages of ``$AMENT_PREFIX_PATH`` and ``$ROS_PACKAGE_PATH``: what is installed there with links
+    is as good as what is copied there.
+    """
+    roots = list(environment_folders())
+    for variable, below in (("AMENT_PREFIX_PATH", "share"), ("ROS_PACKAGE_PATH", "")):
+        for folder in (entry / below for entry in _entries(variable)):
+            if path.is_relative_to(folder) and path != folder:
+                roots.append(folder / path.relative_to(folder).parts[0])
+    return is_inside(path, roots) or any(
+        is_inside(path, (there,)) for root in roots if (there := mirrored(root, path)) is not None
+    )
+
+
 class UriResolver:
     """Finds files of one scene.
 
@@ -49,11 +67,13 @@ class UriResolver:
         inside = [p for p in ancestors(world, 8) if p.is_relative_to(root)] or [world]
         self.ancestors = (*inside, *(() if root in inside else (root,)))
         own = [folder for base in self.ancestors for folder in (base / "models", base)]
-        self.model_folders = tuple(dict.fromkeys([f for f in own if f.is_dir()] + list(environment_folders())))
+        self.model_folders = tuple(dict.fromkeys([f for f in own if is_folder(f)] + list(environment_folders())))
 
     def find(self, uri: str, base: Path) -> Path | None:
         """Returns the file or folder that ``uri`` means in a file of folder ``base``, or None."""
-        return next((p for p in self._candidates(unquote(uri.strip()), base) if exists(p)), None)
+        candidates = dict.fromkeys(self._candidates(unquote(uri.strip()), base))
+        found = next((p for p in candidates if exists(p)), None)
+        return found or next((p for p in map(in_any_case, candidates) if exists(p)), None)
 
     def _candidates(self, uri: str, base: Path) -> Iterator[Path]:
         scheme, separator, rest = uri.partition("://")
@@ -81,11 +101,3 @@ class UriResolver:
         for start in range(len(parts)):
             yield from (folder.joinpath(name, *parts[start:]) for folder in self.ancestors if start == 0)
             yield from (folder.joinpath(*parts[start:]) for folder in self.ancestors)
-
-
-def exists(path: Path) -> bool:
-    """Returns whether something is there that this process may see; what can be no path (a NUL in it, a name too long) is not there."""
-    try:
-        return path.exists()
-    except (OSError, ValueError):
-        return False

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.scenes.views import ROBOT, FloorOf, Path, View
 from gibson_sim.types import CameraSpec, Pose, SceneState
@@ -85,7 +86,9 @@ class Views:
         """Returns the row of a view's target in a state; -1 = it has none."""
         name, target, links = view.camera.name, view.motion.target, self._scene.links
         if name in self._names or view.camera.link in links:
-            raise ConfigError(f"view {name!r}: the scene has a camera of this name already; give the view another one, in a file")
+            raise ConfigError(
+                f"view {quoted(name)}: the scene has a camera of this name already; give the view another one, in a file"
+            )
         if not target:
             return -1
         if target in links:
@@ -93,8 +96,8 @@ class Views:
         body = robot if target == ROBOT else target
         bodies = list(dict.fromkeys(link.partition("/")[0] for link in links if "/" in link))
         if body not in bodies:
-            what = "there is no robot" if target == ROBOT else f"nothing is called {target!r}"
+            what = "there is no robot" if target == ROBOT else f"nothing is called {quoted(target)}"
             known = ", ".join(bodies[:20]) + (", ..." if len(bodies) > 20 else "")
-            raise ConfigError(f"view {name!r}: {what}; it can go with: {known or 'nothing'}")
+            raise ConfigError(f"view {quoted(name)}: {what}; it can go with: {known or 'nothing'}")
         # The links of a body stand together, the root first.
         return next(row for row, link in enumerate(links) if link.startswith(f"{body}/"))

@@ -15,6 +15,7 @@ import numpy as np
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.geometry.transforms import pose_from_matrix, yaw_from_quat
+from gibson_sim.quoting import quoted
 from gibson_sim.types import NS_PER_S, CameraSpec, Pose, Vec3
 
 ROBOT = "robot"
@@ -103,7 +104,7 @@ class Follow:
     def __post_init__(self) -> None:
         _check_looks_at("follow", self.distance, self.height, self.look_at)
         if not self.target:
-            raise ConfigError(f"follow: target is empty; give a robot, a body or a link, or {ROBOT!r} for the first robot")
+            raise ConfigError(f"follow: target is empty; give a robot, a body or a link, or {quoted(ROBOT)} for the first robot")
 
     def settled(self, camera: CameraSpec, floor: FloorOf) -> tuple[Path, float]:
         """Returns itself, and a distance that leaves out what hides the target."""
@@ -139,7 +140,7 @@ class Orbit:
         if not 0.1 <= abs(self.period) <= 1e6:
             raise ConfigError(f"orbit: period is {self.period:g} s, must be 0.1 to 1,000,000, negative for clockwise")
         if bool(self.target) == (self.center is not None):
-            raise ConfigError(f"orbit: target is {self.target!r} and center is {self.center}; give one of the two")
+            raise ConfigError(f"orbit: target is {quoted(self.target)} and center is {self.center}; give one of the two")
 
     def settled(self, camera: CameraSpec, floor: FloorOf) -> tuple[Path, float]:
         """Returns itself, and a distance that leaves out what hides the target."""
@@ -173,7 +174,7 @@ class Top:
         if not 0.05 <= self.cut <= 1000.0:
             raise ConfigError(f"top: cut is {self.cut:g} m above the floor, must be 0.05 to 1,000")
         if self.target and self.center is not None:
-            raise ConfigError(f"top: target is {self.target!r} and center is {self.center}; give one of the two")
+            raise ConfigError(f"top: target is {quoted(self.target)} and center is {self.center}; give one of the two")
 
     def settled(self, camera: CameraSpec, floor: FloorOf) -> tuple[Path, float]:
         """Returns where it hangs, and the distance from there to the cut.
@@ -182,7 +183,9 @@ class Top:
             ConfigError: its camera is no pinhole.
         """
         if camera.projection != "pinhole":
-            raise ConfigError(f"camera {camera.name!r}: a view from the top is pinhole, its projection is {camera.projection}")
+            raise ConfigError(
+                f"camera {quoted(camera.name)}: a view from the top is pinhole, its projection is {camera.projection}"
+            )
         k = camera.intrinsics()
         wide, high = camera.width / float(k[0, 0]), camera.height / float(k[1, 1])  # metres seen at a distance of 1 m
         if self.target:

@@ -7,26 +7,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
 from pathlib import Path
-from xml.etree import ElementTree
 
-import yaml
-
-from gibson_sim.errors import MeshError, SceneError, SceneNotFoundError
+from gibson_sim.errors import MeshError, SceneError, SceneNotFoundError, TextError
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import MAX_TEXT_BYTES, exists, is_file, parse_xml, read_file, yaml_texts
 from gibson_sim.resources import find_scene, known_scenes
 from gibson_sim.robots.omissions import OmissionKind
 from gibson_sim.scenes.builder import SceneBuilder
 from gibson_sim.scenes.load import DESCRIPTION, description_file, finish, is_sdf_world, read_scene, reader_and_root
 from gibson_sim.scenes.mesh import MESH_SUFFIXES
 from gibson_sim.scenes.sdf_world import place_world
-from gibson_sim.scenes.sources import MAX_BYTES, MAX_DESCRIPTION_BYTES, NOWHERE, check_file, path_of, said, walk
+from gibson_sim.scenes.sources import MAX_BYTES, NOWHERE, check_file, path_of, said, walk
 from gibson_sim.scenes.spec import SceneSpec
-from gibson_sim.scenes.uris import environment_folders, exists
-from gibson_sim.scenes.yaml_map import parse_yaml
 
 _log = logging.getLogger(__name__)
 _DIRECTIVES = (".dmd.yaml", ".dmd.yml")
 _MODEL_FILES = ("model.config", "model.sdf", "robot.yaml", "package.xml")
 """A folder with one of these, or with a URDF, is a model or a package of them: its meshes are no worlds."""
+_MAX_LISTED_BYTES = 256 * 1024
+"""Of a scene.yaml that is only listed; a larger one is listed by the name of its folder."""
 _TEXT = NOWHERE / "resource_string"
 
 
@@ -41,12 +40,24 @@ class WorldFailure(Enum):
     UNSUPPORTED_ELEMENTS = auto()
 
 
+_TOLD = {
+    WorldFailure.UNSUPPORTED_FORMAT: "is no world; give a scene.yaml, an SDF world, a .dmd.yaml or a mesh",
+    WorldFailure.NO_RESOURCE: "is not there, may not be read, or holds not exactly one world",
+    WorldFailure.RESOURCE_PARSE_ERROR: "holds a mistake",
+    WorldFailure.MISSING_ASSETS: "names files that are not there",
+    WorldFailure.UNSUPPORTED_ASSETS: "names meshes or textures that cannot be used",
+    WorldFailure.UNSUPPORTED_ELEMENTS: "has elements that are not simulated",
+}
+"""What a client is told who may not see the file, unless the error itself says more."""
+
+
 class WorldError(SceneError):
     """A world cannot be loaded, or worlds cannot be listed; one line."""
 
     def __init__(self, code: WorldFailure, message: str) -> None:
         super().__init__(said(message))
         self.code = code
+        self.public = _TOLD[code]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,16 +82,38 @@ def find_worlds(sources: Sequence[str], *, continue_on_error: bool = False) -> t
     Raises:
         WorldError: one of the sources is not there.
     """
-    ours = [_world(path / DESCRIPTION, name) for name, path in sorted(known_scenes().items())]
+    return (*own_worlds(), *worlds_below(sources, continue_on_error=continue_on_error))
+
+
+def own_worlds() -> tuple[World, ...]:
+    """Returns our scenes, by name."""
+    return tuple(_world(path / DESCRIPTION, name) for name, path in sorted(known_scenes().items()))
+
+
+def world_of(uri: str) -> World | None:
+    """Returns what is known of the world that a URI means, without loading it or looking at others; None where it means several, or none.
+
+    Raises:
+        SceneNotFoundError: there is nothing.
+    """
+    ours = known_scenes().get(uri)
+    if ours is not None:
+        return _world(ours / DESCRIPTION, uri)
+    files = _below(uri.strip())
+    return _world(files[0]) if len(files) == 1 else None
+
+
+def worlds_below(sources: Sequence[str], *, continue_on_error: bool = False) -> tuple[World, ...]:
+    """Returns the worlds in ``sources`` alone, by path; for arguments and errors see ``find_worlds``."""
     theirs: dict[Path, World] = {}
     for source in sources:
         try:
             theirs.update((path, _world(path)) for path in _below(source.strip()))
         except SceneNotFoundError as e:
             if not continue_on_error:
-                raise WorldError(WorldFailure.NO_RESOURCE, str(e)) from e
+                raise WorldError(WorldFailure.NO_RESOURCE, str(e)).telling(str(e)) from e
             _log.warning("%s; left out", e)
-    return (*ours, *(theirs[path] for path in sorted(theirs)))
+    return tuple(theirs[path] for path in sorted(theirs))
 
 
 def load_world(uri: str, text: str, *, fail_on_unsupported: bool = False, ignore_missing: bool = False) -> SceneSpec:
@@ -102,7 +135,8 @@ def load_world(uri: str, text: str, *, fail_on_unsupported: bool = False, ignore
     except WorldError:
         raise
     except SceneError as e:
-        raise WorldError(_code_of(e), str(e)) from e
+        code = _code_of(e)
+        raise WorldError(code, str(e)).telling(f"{_TOLD[code]}: {e.public}" if e.public else _TOLD[code]) from e
     wanted: dict[WorldFailure, OmissionKind] = {}
     if not ignore_missing:
         wanted[WorldFailure.MISSING_ASSETS] = OmissionKind.MISSING_ASSET
@@ -131,7 +165,7 @@ def _read_uri(uri: str) -> SceneBuilder:
         raise WorldError(WorldFailure.NO_RESOURCE, str(e)) from e
     try:
         reader_and_root(file, given)
-        check_file(file, MAX_BYTES if file.suffix.lower() in MESH_SUFFIXES else MAX_DESCRIPTION_BYTES)
+        check_file(file, MAX_BYTES if file.suffix.lower() in MESH_SUFFIXES else MAX_TEXT_BYTES)
     except SceneError as e:
         raise WorldError(WorldFailure.UNSUPPORTED_FORMAT, str(e)) from e
     return read_scene(given, file)
@@ -143,17 +177,17 @@ def _read_text(text: str) -> SceneBuilder:
     if not text.lstrip().startswith("<"):
         raise WorldError(WorldFailure.UNSUPPORTED_FORMAT, f"{_TEXT}: is no XML; give an SDF world, or a file by its uri")
     data = text.strip().encode("utf-8", errors="replace")
-    if len(data) > MAX_DESCRIPTION_BYTES:
-        reason = f"has {len(data)} bytes, must be at most {MAX_DESCRIPTION_BYTES}"
+    if len(data) > MAX_TEXT_BYTES:
+        reason = f"has {len(data)} bytes, must be at most {MAX_TEXT_BYTES}"
         raise WorldError(WorldFailure.UNSUPPORTED_FORMAT, f"{_TEXT}: {reason}")
     try:
-        root = ElementTree.fromstring(data)
-    except (ElementTree.ParseError, ValueError, LookupError) as e:
-        raise WorldError(WorldFailure.RESOURCE_PARSE_ERROR, f"{_TEXT}: is no well-formed XML: {e}") from e
+        root = parse_xml(data)
+    except TextError as e:
+        raise WorldError(WorldFailure.RESOURCE_PARSE_ERROR, f"{_TEXT}: {e}").telling(str(e)) from e
     world = root.find("world") if root.tag in ("sdf", "gazebo") else None
     if world is None:
         raise WorldError(WorldFailure.UNSUPPORTED_FORMAT, f"{_TEXT}: holds no <world>; give <sdf> with a <world> in it")
-    builder = SceneBuilder(world.get("name", "").strip() or "world", NOWHERE, environment_folders())
+    builder = SceneBuilder(world.get("name", "").strip() or "world", NOWHERE, environment=True)
     builder.add_text(text)
     place_world(builder, root, _TEXT)
     return builder
@@ -177,8 +211,8 @@ def _below(source: str) -> list[Path]:
     """Returns the files of the worlds in a folder."""
     path = path_of(source) or Path(source).absolute()
     if not source or not exists(path):
-        raise SceneNotFoundError(f"source {source!r}: there is nothing at {path}; give a folder")
-    if path.is_file():
+        raise SceneNotFoundError(f"source {quoted(source)}: there is nothing at {path}; give a folder")
+    if is_file(path):
         return [path] if _tag(path) else []
     found: list[Path] = []
     # Folders whose meshes, and those below, are parts of something else.
@@ -207,7 +241,7 @@ def _tag(path: Path) -> str:
         return "drake"
     if name.endswith(MESH_SUFFIXES):
         return "mesh"
-    return "sdf" if name.endswith((".sdf", ".world")) and path.is_file() and is_sdf_world(path) else ""
+    return "sdf" if name.endswith((".sdf", ".world")) and is_file(path) and is_sdf_world(path) else ""
 
 
 def _world(file: Path, name: str = "") -> World:
@@ -217,10 +251,9 @@ def _world(file: Path, name: str = "") -> World:
     if tag != DESCRIPTION:
         return World(file.name.split(".")[0], uri, f"{tag} file", (tag,))
     try:
-        document = parse_yaml(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError):
+        texts = yaml_texts(read_file(file, _MAX_LISTED_BYTES), ("name", "description"))
+    except (OSError, TextError):
         # Whoever loads it is told what is wrong with it.
-        document = None
-    texts = document if isinstance(document, dict) else {}
-    description = " ".join(str(texts.get("description") or "").split())
-    return World(name or str(texts.get("name") or file.parent.name), uri, description, (tag,))
+        texts = {}
+    description = " ".join(texts.get("description", "").split())
+    return World(name or texts.get("name") or file.parent.name, uri, description, (tag,))

@@ -6,22 +6,9 @@ import difflib
 import math
 from typing import Any
 
-import yaml
-
 from gibson_sim.errors import SceneError
+from gibson_sim.quoting import quoted
 from gibson_sim.types import Vec3
-
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""The parser of libyaml, where PyYAML was built with it, takes a tenth of the time."""
-
-
-def parse_yaml(text: str | bytes) -> Any:
-    """Returns what a YAML text holds, as Python's plain types.
-
-    Raises:
-        yaml.YAMLError: it is none.
-    """
-    return yaml.load(text, Loader=_LOADER)
 
 
 class YamlMap:
@@ -35,11 +22,13 @@ class YamlMap:
 
     def __init__(self, content: Any, where: str, known: tuple[str, ...]) -> None:
         if not isinstance(content, dict):
-            raise SceneError(f"{where}: is {content!r}, must be a mapping with {', '.join(known)}")
+            raise SceneError(f"{where}: is {quoted(content)}, must be a mapping with {', '.join(known)}")
         for key in content:
             if key not in known:
                 near = difflib.get_close_matches(str(key), known, n=1, cutoff=0.0)
-                raise SceneError(f"{where}: key {key!r} is unknown, did you mean {near[0]!r}? known: {', '.join(known)}")
+                raise SceneError(
+                    f"{where}: key {quoted(key)} is unknown, did you mean {quoted(near[0])}? known: {', '.join(known)}"
+                )
         self.content: dict[str, Any] = content
         self.where = where
 
@@ -57,28 +46,30 @@ class YamlMap:
         if value is None and key == "collision":
             return "none"
         if not isinstance(value, str):
-            raise SceneError(f"{self.where}: {key} is {value!r}, must be text")
+            raise SceneError(f"{self.where}: {key} is {quoted(value)}, must be text").telling(f"{key} must be text")
         return value
 
     def flag(self, key: str, default: bool) -> bool:
         """Returns true or false."""
         value = self.content.get(key, default)
         if not isinstance(value, bool):
-            raise SceneError(f"{self.where}: {key} is {value!r}, must be true or false")
+            raise SceneError(f"{self.where}: {key} is {quoted(value)}, must be true or false").telling(
+                f"{key} must be true or false"
+            )
         return value
 
     def direction(self, key: str, default: Vec3) -> Vec3:
         """Returns three numbers that are not all zero."""
         value = self.vec3(key, default)
         if not any(value):
-            raise SceneError(f"{self.where}: {key} is {list(value)}, must not be zero")
+            raise SceneError(f"{self.where}: {key} is {list(value)}, must not be zero").telling(f"{key} must not be zero")
         return value
 
     def items(self, key: str) -> list[Any]:
         """Returns a list, empty if the key is not there."""
         value = self.content.get(key) or []
         if not isinstance(value, list):
-            raise SceneError(f"{self.where}: {key} is {value!r}, must be a list")
+            raise SceneError(f"{self.where}: {key} is {quoted(value)}, must be a list").telling(f"{key} must be a list")
         return value
 
     def number(self, key: str, default: float, low: float = -math.inf, high: float = math.inf) -> float:
@@ -89,7 +80,9 @@ class YamlMap:
         """Returns ``count`` finite numbers within limits; the key must be there."""
         value = self.content.get(key)
         if not isinstance(value, list) or len(value) != count:
-            raise SceneError(f"{self.where}: {key} is {value!r}, must be a list of {count} numbers")
+            raise SceneError(f"{self.where}: {key} is {quoted(value)}, must be a list of {count} numbers").telling(
+                f"{key} must be a list of {count} numbers"
+            )
         return tuple(self._checked(key, v, low, high) for v in value)
 
     def vec3(self, key: str, default: Vec3 | None = None, low: float = -math.inf, high: float = math.inf) -> Vec3:
@@ -103,5 +96,7 @@ class YamlMap:
         good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
         if not good or not low <= value <= high:
             limits = "" if low == -math.inf and high == math.inf else f", from {low:g} to {high:g}"
-            raise SceneError(f"{self.where}: {key} is {value!r}, must be a finite number{limits}")
+            raise SceneError(f"{self.where}: {key} is {quoted(value)}, must be a finite number{limits}").telling(
+                f"{key} must be a finite number{limits}"
+            )
         return float(value)

@@ -39,9 +39,9 @@ class ImuReading:
     orientation_xyzw: Quat | None
     """Of the link in the world frame, exact; None = not reported."""
     angular_variance: float
-    """Of each component, (rad/s)^2."""
+    """Of each component against the truth, noise and bias together, (rad/s)^2."""
     linear_variance: float
-    """Of each component, (m/s^2)^2."""
+    """The same, (m/s^2)^2."""
 
 
 class Imu:
@@ -61,7 +61,6 @@ class Imu:
         self._densities = np.repeat([spec.gyro_noise, spec.accel_noise], 3)
         self._walks = np.repeat([spec.gyro_bias_walk, spec.accel_bias_walk], 3)
         self._walks_at_all, self._is_noisy = bool(self._walks.any()), bool(self._densities.any())
-        self._variances = tuple(max(density**2 * spec.rate_hz, LEAST_VARIANCE) for density in (spec.gyro_noise, spec.accel_noise))
         self.reset()
 
     def reset(self) -> None:
@@ -70,6 +69,7 @@ class Imu:
         self._last: tuple[int, Vec3, Quat] | None = None
         self.bias: NDArray[np.float64] = np.repeat([spec.gyro_bias, spec.accel_bias], 3)
         """(6,): of the gyroscopes, rad/s, then of the accelerometers, m/s^2."""
+        self._walked_s = 0.0
         if self.bias.any():
             self.bias *= self._noise.at(0, _START).standard_normal(6)
 
@@ -115,6 +115,7 @@ class Imu:
             mean = _into_link(_middle(before, quat), ((vx - ux) / dt, (vy - uy) / dt, (vz - uz) / dt))
             force = (force[0] + mean[0], force[1] + mean[1], force[2] + mean[2])
         self._last = (state.stamp_ns, (vx, vy, vz), quat)
+        self._walked_s += dt
         measured = np.array([*_into_link(quat, (angular[0], angular[1], angular[2])), *force]) + self._errors(state.stamp_ns, dt)
         return ImuReading(
             name=spec.name,
@@ -123,9 +124,17 @@ class Imu:
             angular_velocity=measured[:3],
             linear_acceleration=measured[3:],
             orientation_xyzw=(x, y, z, w) if spec.orientation else None,
-            angular_variance=self._variances[0],
-            linear_variance=self._variances[1],
+            angular_variance=self._variance(spec.gyro_noise, spec.gyro_bias, spec.gyro_bias_walk, dt),
+            linear_variance=self._variance(spec.accel_noise, spec.accel_bias, spec.accel_bias_walk, dt),
         )
+
+    def _variance(self, noise: float, bias: float, walk: float, dt: float) -> float:
+        """Returns the variance of one component of a sample, of white noise and of a bias that walks.
+
+        That of white noise of a density, averaged over ``dt``, and that of a random walk: IEEE Std 952-1997, annex C, as read off
+        a plot of the Allan deviation.
+        """
+        return max(noise * noise / dt + bias * bias + walk * walk * self._walked_s, LEAST_VARIANCE)
 
     def _errors(self, stamp_ns: int, dt: float) -> NDArray[np.float64]:
         """Returns what to add to (angular velocity, specific force), (6,), ``dt`` seconds after the sample before."""

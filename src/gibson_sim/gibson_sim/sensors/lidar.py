@@ -1,6 +1,6 @@
 """Lidars: which rays to cast, and what a driver reports for their lengths (REP 117). Pure: a callable casts the rays.
 
-A planar lidar gives a scan, a lidar of many channels a cloud of points. Errors come in the order of a sensor: noise, steps of
+A planar lidar gives a scan, a lidar of many channels a cloud of points. Errors come in the order of a sensor: scale, noise, steps of
 resolution, limits of range, rays that do not return.
 """
 
@@ -21,8 +21,10 @@ from gibson_sim.types import SceneState
 
 CastRays = Callable[[NDArray[np.float64], NDArray[np.float64], float, "str | None"], NDArray[np.float64]]
 """``PhysicsWorld.cast_rays``: (origins (N, 3), directions (N, 3), range_max, body to ignore) to distances (N,)."""
-_ERROR, _DROPOUT = 0, 1
+_ERROR, _DROPOUT, _SCALE = 0, 1, 2
 """Purposes of the random numbers."""
+_MOST_SIGMAS = 3.0
+"""Of the scale: a device that is farther off does not leave the factory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,8 +115,11 @@ def ranges_from_distances(
     """
     d = np.array(distances, dtype=np.float64)
     if noise is not None:
-        if spec.range_noise > 0.0:
-            d += spec.range_noise * noise.at(stamp_ns, _ERROR).standard_normal(d.shape)
+        if spec.range_scale > 0.0:
+            d *= 1.0 + spec.range_scale * min(max(float(noise.at(0, _SCALE).standard_normal()), -_MOST_SIGMAS), _MOST_SIGMAS)
+        if spec.range_noise > 0.0 or spec.range_noise_ratio > 0.0:
+            deviation = np.hypot(spec.range_noise, spec.range_noise_ratio * np.where(np.isfinite(d), d, 0.0))
+            d += deviation * noise.at(stamp_ns, _ERROR).standard_normal(d.shape)
         if spec.resolution > 0.0:
             d = np.rint(d / spec.resolution) * spec.resolution
     ranges = np.where(d > spec.range_max, np.inf, np.where(d < spec.range_min, -np.inf, d)).astype(np.float32)
@@ -180,5 +185,6 @@ def _cast(
     """Returns the distance along each ray, (N,), metres; +inf = nothing in range."""
     origins, turned = world_rays(link_pose(state, spec.link, "lidar"), directions)
     # With an error a wall just beyond the range may be reported as in range, as on a real lidar.
-    margin = 5.0 * spec.range_noise + spec.resolution
+    part = 5.0 * spec.range_noise_ratio + _MOST_SIGMAS * spec.range_scale
+    margin = 5.0 * spec.range_noise + spec.resolution + 1.5 * part * spec.range_max
     return cast_rays(origins, turned, spec.range_max + margin, spec.link.partition("/")[0])

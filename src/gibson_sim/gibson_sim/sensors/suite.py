@@ -145,7 +145,7 @@ class SensorSuite:
         return Measurements(stamp_ns, **{kind: tuple(values) for kind, values in readings.items()})
 
     def _noise(self, spec: LidarSpec | Lidar3DSpec) -> NoiseSource | None:
-        if not (spec.range_noise or spec.resolution or spec.dropout):
+        if not (spec.range_noise or spec.range_noise_ratio or spec.range_scale or spec.resolution or spec.dropout):
             return None
         return NoiseSource(f"{self._robot.name}/{spec.name}", self._seed, spec.seed)
 

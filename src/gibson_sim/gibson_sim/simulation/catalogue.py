@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from gibson_sim.errors import GibsonSimError
-from gibson_sim.scenes.spawning import Spawnable, find_spawnables
-from gibson_sim.scenes.worlds import World, find_worlds
-from gibson_sim.simulation.codes import Result, SimulationError, WorldsCode, quoted, shortened
+from gibson_sim.quoting import quoted
+from gibson_sim.scenes.spawnables import Spawnable, find_spawnables, spawnables_below
+from gibson_sim.scenes.worlds import World, own_worlds, world_of, worlds_below
+from gibson_sim.simulation.codes import Result, SimulationError, WorldsCode, shortened
 from gibson_sim.simulation.filters import TagsFilter
 
 
@@ -23,9 +24,10 @@ def available_worlds(sources: tuple[str, ...], tags: TagsFilter, *, continue_on_
     tags.check()
     found: dict[str, World] = {}
     failures: list[SimulationError] = []
-    for places, code in (((), WorldsCode.DEFAULT_SOURCES_FAILED), *(((source,), Result.NOT_FOUND) for source in sources)):
+    for source, code in ((None, WorldsCode.DEFAULT_SOURCES_FAILED), *((source, Result.NOT_FOUND) for source in sources)):
         try:
-            found.update({world.uri: world for world in find_worlds(places, continue_on_error=continue_on_error)})
+            worlds = own_worlds() if source is None else worlds_below((source,), continue_on_error=continue_on_error)
+            found.update({world.uri: world for world in worlds})
         except GibsonSimError as error:
             failures.append(SimulationError(code, str(error)))
     if failures and not (continue_on_error and found):
@@ -39,7 +41,7 @@ def spawnables(sources: tuple[str, ...]) -> tuple[tuple[Spawnable, ...], str]:
     failures = []
     for source in sources:
         try:
-            found.update({spawnable.uri: spawnable for spawnable in find_spawnables((source,))})
+            found.update({spawnable.uri: spawnable for spawnable in spawnables_below((source,))})
         except GibsonSimError as error:
             failures.append(f"source {quoted(source)}: {error}")
     return tuple(found.values()), shortened("; ".join(failures))
@@ -48,9 +50,6 @@ def spawnables(sources: tuple[str, ...]) -> tuple[tuple[Spawnable, ...], str]:
 def description_of(uri: str) -> World | None:
     """Returns what is known of the world that a uri means, without loading it; None where it means several, or none."""
     try:
-        ours = find_worlds(())
-        named = [world for world in ours if world.uri == uri]
-        found = named or list(find_worlds((uri,))[len(ours) :])
+        return world_of(uri)
     except GibsonSimError:
         return None
-    return found[0] if len(found) == 1 else None

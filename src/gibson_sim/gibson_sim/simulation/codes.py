@@ -5,10 +5,15 @@ https://github.com/ros-simulation/simulation_interfaces, versions 1.x and 2.x, w
 
 from __future__ import annotations
 
+import logging
 from enum import IntEnum
 
 from gibson_sim.errors import GibsonSimError
+from gibson_sim.quoting import clipped
 
+_log = logging.getLogger(__name__)
+LONGEST_LOGGED = 4000
+"""Characters of a message in the log."""
 LONGEST_MESSAGE = 600
 """Characters; a client that sends megabytes does not get them back."""
 
@@ -88,14 +93,16 @@ class SimulationError(GibsonSimError):
         self.code = code
 
 
-def shortened(text: str, longest: int = LONGEST_MESSAGE) -> str:
+def told(what: str, error: GibsonSimError) -> str:
+    """Returns what a client may be told of a file that it named and that cannot be used: nothing of what stands in it.
+
+    The log has the whole of it: whoever may read that may read the file.
+    """
+    reason = error.public or "cannot be used"
+    _log.warning("%s cannot be used: %s", what, clipped(str(error), LONGEST_LOGGED))
+    return f"{what}: {reason}; the log of the simulation says more"
+
+
+def shortened(text: str) -> str:
     """Returns the text on one line, its middle left out where it is too long."""
-    line = " ".join(text[: 4 * longest].split()) if len(text) > 4 * longest else " ".join(text.split())
-    if len(line) <= longest and len(text) <= 4 * longest:
-        return line
-    return f"{line[: longest // 2]} ... {' '.join(text[-longest // 2 :].split())}"
-
-
-def quoted(text: str) -> str:
-    """Returns what a client sent in quotes, short enough for a message."""
-    return repr(text) if len(text) <= 80 else f"{text[:80]!r}... ({len(text)} characters)"
+    return clipped(text, LONGEST_MESSAGE)

@@ -1,41 +1,82 @@
-"""One simulation at a time in a ROS domain."""
+"""One simulation at a time in a ROS domain.
+
+The lock is the name of a Unix socket in Linux's abstract namespace. No file is involved: neither ``TMPDIR`` nor what other users put into
+``/tmp`` matters, and the kernel frees the name when the process ends, however it ends. Such names belong to a network namespace, as the
+loopback interface of a ROS domain does: a container with a network of its own has domains of its own.
+"""
 
 from __future__ import annotations
 
-import fcntl
+import errno
 import os
-import tempfile
-from pathlib import Path
+import pwd
+import socket
+import struct
 
-from gibson_sim.errors import AlreadyRunningError
+from gibson_sim.errors import AlreadyRunningError, EnvironmentProblemError
+
+_CREDENTIALS = struct.Struct("3i")
+"""What SO_PEERCRED returns (unix(7)): process id, user id, group id."""
+_REFUSALS_THAT_NAME_THE_HOLDER = 4096
+"""Each refused process stays in the queue of the holder's socket, since that never accepts; once it is full, the holder stays unnamed."""
 
 
 class DomainLock:
-    """Held by the one simulation of a ROS domain on this machine, its launcher or its physics node; the kernel frees it however that ends."""
+    """Held by the one simulation of a ROS domain on this machine, its launcher or its physics node."""
 
-    def __init__(self, domain_id: int, folder: Path | None = None) -> None:
+    def __init__(self, domain_id: int) -> None:
         """Takes the lock.
 
         Raises:
-            AlreadyRunningError: another process holds it.
+            AlreadyRunningError: another process holds it; says which one, and whose.
+            EnvironmentProblemError: this machine allows no such socket.
         """
-        self.path = (folder or Path(tempfile.gettempdir())) / f"gibson-sim-domain-{domain_id}.lock"
-        self._file: int | None = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        name = f"\0gibson-sim-domain-{domain_id}"
+        self._socket: socket.socket | None = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            holder = os.read(self._file, 32).decode(errors="replace").strip()
-            os.close(self._file)
-            self._file = None
-            raise AlreadyRunningError(
-                f"a simulation runs in ROS domain {domain_id} already (process {holder or 'unknown'}): "
-                "stop it, or choose another domain with --domain-id or ROS_DOMAIN_ID"
-            ) from None
-        os.ftruncate(self._file, 0)
-        os.write(self._file, str(os.getpid()).encode())
+            self._socket.bind(name)
+            self._socket.listen(_REFUSALS_THAT_NAME_THE_HOLDER)
+        except OSError as error:
+            self.close()
+            if error.errno != errno.EADDRINUSE:
+                raise EnvironmentProblemError(
+                    f"the lock of ROS domain {domain_id}, the abstract Unix socket @{name[1:]}, cannot be made: {error.strerror}"
+                ) from error
+            raise AlreadyRunningError(_refusal(domain_id, _holder(name))) from None
 
     def close(self) -> None:
         """Frees the lock."""
-        if self._file is not None:
-            os.close(self._file)
-            self._file = None
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+
+def _refusal(domain_id: int, holder: tuple[int, int] | None) -> str:
+    other_domain = "choose another domain with --domain-id or ROS_DOMAIN_ID"
+    if holder is None:
+        return f"a simulation runs in ROS domain {domain_id} already (its process does not say who it is): {other_domain}"
+    process_id, user_id = holder
+    process = f"process {process_id}" if process_id else "a process of another container"
+    if user_id == os.getuid():
+        return f"a simulation runs in ROS domain {domain_id} already ({process}): stop it, or {other_domain}"
+    return f"a simulation runs in ROS domain {domain_id} already ({process} of user {_user(user_id)}): {other_domain}"
+
+
+def _holder(name: str) -> tuple[int, int] | None:
+    """Returns the ids of the process that listens at an abstract name and of its user; None if it does not listen."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.setblocking(False)
+        try:
+            probe.connect(name)
+            packed = probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+        except OSError:
+            return None
+    process_id, user_id, _ = _CREDENTIALS.unpack(packed)
+    return process_id, user_id
+
+
+def _user(user_id: int) -> str:
+    try:
+        return pwd.getpwuid(user_id).pw_name
+    except KeyError:
+        return str(user_id)

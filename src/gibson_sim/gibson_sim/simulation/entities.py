@@ -7,9 +7,10 @@ from collections.abc import Container
 from dataclasses import dataclass, field
 from enum import IntEnum
 
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.simulation.codes import Result, SimulationError, SpawnCode, quoted
+from gibson_sim.simulation.codes import Result, SimulationError, SpawnCode
 
 LONGEST_NAME = 255
 LONGEST_NAMESPACE = 245
@@ -118,7 +119,7 @@ def choose_name(wanted: str, in_file: str, allow_renaming: bool, taken: Containe
             )
         if not is_name(name):
             raise SimulationError(
-                SpawnCode.NAME_INVALID, f"the file's name {quoted(name)} is not usable in ROS; give a name, or set allow_renaming"
+                SpawnCode.NAME_INVALID, "the name in the file is not usable in ROS; give a name, or set allow_renaming"
             )
         if name in taken:
             raise SimulationError(

@@ -17,6 +17,7 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
 from gibson_sim.types import NS_PER_S
 
 CAMERAS = "cameras"
@@ -49,9 +50,9 @@ def parse_participants(text: str) -> tuple[Expected, ...]:
         match = _RULE.fullmatch(part)
         every = float(match[5]) if match and match[5] and match[5].count(".") < 2 else 0.0
         if match is None or (match[5] and not every > 0.0):
-            raise ConfigError(f"setting 'participants' has {part.strip()!r}, must be {_ALLOWED}")
+            raise ConfigError(f"setting 'participants' has {quoted(part.strip())}, must be {_ALLOWED}")
         if any(match[1] == other.name for other in found):
-            raise ConfigError(f"setting 'participants' names {match[1]!r} twice; each needs a name of its own")
+            raise ConfigError(f"setting 'participants' names {quoted(match[1])} twice; each needs a name of its own")
         found.append(Expected(match[1], (match[2] or "").lstrip("/"), (match[4] or "").lstrip("/"), every))
     return tuple(found)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -16,13 +16,15 @@ from gibson_sim.geometry.transforms import (
     matrix_from_quat,
     pose_from_matrix,
 )
+from gibson_sim.physics.body import read_hulls
 from gibson_sim.physics.world import PhysicsWorld
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes import spawning
 from gibson_sim.scenes.placement import in_namespace
 from gibson_sim.simulation.bounds import Bounds, box_bounds
-from gibson_sim.simulation.codes import EntityStateCode, Result, SimulationError, SpawnCode, quoted
+from gibson_sim.simulation.codes import EntityStateCode, Result, SimulationError, SpawnCode, told
 from gibson_sim.simulation.entities import Entity, EntityInfo, check_info, check_namespace, choose_name, first_info
 from gibson_sim.simulation.filters import EntityFilters, filtered
 from gibson_sim.simulation.poses import WORLD_FRAMES, checked_pose, checked_velocity, vec3
@@ -46,6 +48,19 @@ class SpawnRequest:
     frame_id: str = ""
     position: Vec3 = (0.0, 0.0, 0.0)
     quat_xyzw: Quat = (0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class ReadAhead:
+    """What was read of a request before it takes effect."""
+
+    in_file: str
+    """Name that the resource gives itself."""
+    name: str
+    """Of the entity, as it was chosen then."""
+    pose: Pose
+    """T_world_root, as it was then."""
+    found: RobotSpec | BodySpec | SimulationError
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +97,39 @@ class StateChange:
     set_pose: bool = True
     set_twist: bool = True
     set_acceleration: bool = True
+
+
+def _named(request: SpawnRequest) -> str:
+    return quoted(request.uri) if request.uri.strip() else "resource_string"
+
+
+def _name_in_file(request: SpawnRequest) -> str:
+    return "" if request.name else spawning.spawn_name(request.uri, request.text)
+
+
+def _load(request: SpawnRequest, name: str, pose: Pose) -> RobotSpec | BodySpec:
+    try:
+        return spawning.load_spawnable(request.uri, request.text, name=name, pose=pose)
+    except spawning.SpawnError as error:
+        raise SimulationError(SpawnCode[error.code.name], told(_named(request), error)) from error
+
+
+def _read_ahead(request: SpawnRequest, pose: Pose, taken: Mapping[str, object]) -> ReadAhead | None:
+    """Returns what a request names, or why it cannot be had; None where its name cannot be chosen."""
+    if not (request.uri.strip() or request.text.strip()):
+        return None
+    in_file = _name_in_file(request)
+    try:
+        name = choose_name(request.name, in_file, request.allow_renaming, taken)
+    except SimulationError:
+        return None
+    try:
+        spec = _load(request, name, pose)
+    except SimulationError as error:
+        return ReadAhead(in_file, name, pose, error)
+    if isinstance(spec, BodySpec) and not spec.static:
+        read_hulls(spec.model)
+    return ReadAhead(in_file, name, pose, spec)
 
 
 class Population:
@@ -137,7 +185,8 @@ class Population:
         speeds_up = change.set_acceleration and any(change.acceleration)
         if self._world.is_static(name) and (moves or speeds_up):
             raise SimulationError(
-                Result.OPERATION_FAILED, f"entity {name!r} is static: it can be placed, but its twist and acceleration must be 0"
+                Result.OPERATION_FAILED,
+                f"entity {quoted(name)} is static: it can be placed, but its twist and acceleration must be 0",
             )
         frame = self._frame(change.frame_id, EntityStateCode.INVALID_POSE)
         pose = self.state(name).pose
@@ -163,8 +212,32 @@ class Population:
         low, high = self._world.bounds(name, T_frame_world=T_root_world)
         return box_bounds(vec3(low), vec3(high))
 
-    def spawn(self, request: SpawnRequest) -> str:
-        """Puts a new robot or body into the world and returns its name."""
+    def reading(self, requests: Sequence[SpawnRequest]) -> Callable[[], list[ReadAhead | None]]:
+        """Returns a function that reads what requests name, for ``spawn``; it touches nothing else and may be called in any thread.
+
+        Of a request that cannot be read ahead it returns None; ``spawn`` says why.
+        """
+        taken: dict[str, object] = dict(self._entities)
+        placed: list[tuple[SpawnRequest, Pose | None]] = []
+        for request in requests:
+            try:
+                placed.append((request, self._spawn_pose(request)))
+            except SimulationError:
+                placed.append((request, None))
+
+        def read() -> list[ReadAhead | None]:
+            found: list[ReadAhead | None] = []
+            for request, pose in placed:
+                ahead = None if pose is None else _read_ahead(request, pose, taken)
+                if ahead is not None:
+                    taken[ahead.name] = ahead
+                found.append(ahead)
+            return found
+
+        return read
+
+    def spawn(self, request: SpawnRequest, ahead: ReadAhead | None = None) -> str:
+        """Puts a new robot or body into the world and returns its name; ``ahead``: what ``reading`` has read of the request."""
         if not (request.uri.strip() or request.text.strip()):
             raise SimulationError(SpawnCode.NO_RESOURCE, "neither a uri nor a resource_string is given; see get_spawnables")
         if len(self._entities) >= self._most:
@@ -172,24 +245,33 @@ class Population:
                 Result.OPERATION_FAILED, f"there are {self._most} entities, and there may not be more: delete some"
             )
         check_namespace(request.namespace)
-        pose = self._placed(
-            self._frame(request.frame_id, SpawnCode.INVALID_POSE),
-            matrix_from_pose(checked_pose(request.position, request.quat_xyzw, SpawnCode.INVALID_POSE)),
-            SpawnCode.INVALID_POSE,
-        )
-        try:
-            in_file = "" if request.name else spawning.spawn_name(request.uri, request.text)
-            name = choose_name(request.name, in_file, request.allow_renaming, self._entities)
-            spec = spawning.load_spawnable(request.uri, request.text, name=name, pose=pose)
-        except spawning.SpawnError as error:
-            raise SimulationError(SpawnCode[error.code.name], str(error)) from error
+        pose = self._spawn_pose(request)
+        in_file = _name_in_file(request) if ahead is None else ahead.in_file
+        name = choose_name(request.name, in_file, request.allow_renaming, self._entities)
+        if ahead is not None and isinstance(ahead.found, SimulationError):
+            raise ahead.found
+        known = ahead is not None and (ahead.name, ahead.pose) == (name, pose)
+        spec = ahead.found if ahead is not None and known else _load(request, name, pose)
+        assert not isinstance(spec, SimulationError)
         namespace = request.namespace.strip("/")
         if isinstance(spec, RobotSpec):
             namespace = self._robot_namespace(name, namespace)
             spec = in_namespace(spec, namespace, self._robot_tf) if namespace else spec
-        self._change(Result.OPERATION_FAILED, lambda: self._add(spec))
+        try:
+            self._add(spec)
+        except StartError as error:
+            raise SimulationError(SpawnCode.INVALID_POSE, str(error)) from error
+        except GibsonSimError as error:
+            raise SimulationError(Result.OPERATION_FAILED, told(_named(request), error)) from error
         self._entities[name] = Entity(name, first_info(spec), namespace, spawned=True)
         return name
+
+    def _spawn_pose(self, request: SpawnRequest) -> Pose:
+        return self._placed(
+            self._frame(request.frame_id, SpawnCode.INVALID_POSE),
+            matrix_from_pose(checked_pose(request.position, request.quat_xyzw, SpawnCode.INVALID_POSE)),
+            SpawnCode.INVALID_POSE,
+        )
 
     def spawn_all(self, requests: Sequence[SpawnRequest]) -> tuple[SpawnOutcome, ...]:
         """Spawns one after the other; returns how each went. What could be spawned stays where others fail."""
@@ -247,7 +329,7 @@ class Population:
         if namespace in used:
             raise SimulationError(
                 SpawnCode.NAMESPACE_INVALID,
-                f"namespace {quoted(namespace)} is that of robot {used[namespace]!r}; two robots cannot share their topics",
+                f"namespace {quoted(namespace)} is that of robot {quoted(used[namespace])}; two robots cannot share their topics",
             )
         return namespace
 

@@ -16,6 +16,7 @@ from functools import reduce
 from operator import or_
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
 
 LONGEST_PATTERN = 1000
 """Characters."""
@@ -200,7 +201,7 @@ class _Parser:
 
     def _error(self, what: str) -> PatternError:
         shown = self._pattern if len(self._pattern) <= 80 else f"{self._pattern[:80]}..."
-        return PatternError(f"{shown!r} is no POSIX extended regular expression: at character {self._at + 1}: {what}")
+        return PatternError(f"{quoted(shown)} is no POSIX extended regular expression: at character {self._at + 1}: {what}")
 
     def _peek(self) -> str:
         return self._pattern[self._at : self._at + 1]
@@ -312,7 +313,7 @@ class _Parser:
         end = self._pattern.find(":]", self._at + 2)
         name = self._pattern[self._at + 2 : end] if end >= 0 else ""
         if name not in _CLASSES:
-            raise self._error(f"there is no class {name!r}; known: {', '.join(sorted(_CLASSES))}")
+            raise self._error(f"there is no class {quoted(name)}; known: {', '.join(sorted(_CLASSES))}")
         self._at = end + 2
         return _CLASSES[name]
 

@@ -22,6 +22,7 @@ from pathlib import Path
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.physics.world import PhysicsWorld
+from gibson_sim.quoting import quoted
 from gibson_sim.scenes import worlds
 from gibson_sim.scenes.named_poses import NamedPose, named_poses
 from gibson_sim.scenes.spec import SceneSpec
@@ -33,7 +34,7 @@ from gibson_sim.simulation.codes import (
     SimulationError,
     StateCode,
     WorldCode,
-    quoted,
+    told,
 )
 from gibson_sim.simulation.filters import TagsFilter
 from gibson_sim.simulation.manipulation import grasp_settings, servo_settings
@@ -50,6 +51,10 @@ EVERYTHING = 255
 
 
 _ALL = ResetScope.TIME | ResetScope.STATE | ResetScope.SPAWNED
+
+
+def _named(request: LoadRequest) -> str:
+    return quoted(request.uri) if request.uri.strip() else "resource_string"
 
 
 class Simulator:
@@ -260,9 +265,9 @@ class Simulator:
                 ignore_missing=request.ignore_missing,
             )
         except worlds.WorldError as error:
-            raise SimulationError(LoadWorldCode[error.code.name], str(error)) from error
+            raise SimulationError(LoadWorldCode[error.code.name], told(_named(request), error)) from error
         except GibsonSimError as error:
-            raise SimulationError(LoadWorldCode.RESOURCE_PARSE_ERROR, str(error)) from error
+            raise SimulationError(LoadWorldCode.RESOURCE_PARSE_ERROR, told(_named(request), error)) from error
 
     def finish_load(self, request: LoadRequest, scene: SceneSpec) -> WorldInfo:
         """Makes the world of a scene that was read; it is stopped.
@@ -276,7 +281,7 @@ class Simulator:
         try:
             self._enter(scene, uri=request.uri, text="" if request.uri.strip() else request.text)
         except GibsonSimError as error:
-            raise SimulationError(LoadWorldCode.RESOURCE_PARSE_ERROR, str(error)) from error
+            raise SimulationError(LoadWorldCode.RESOURCE_PARSE_ERROR, told(_named(request), error)) from error
         self._state = SimulationState.STOPPED
         return self.current_world()
 

@@ -15,7 +15,7 @@ from gymnasium.vector import AsyncVectorEnv
 from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.robots.load import load_robot
+from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.tasks.controls import Controls
 from gibson_sim.tasks.episode import item_body
 from gibson_sim.tasks.observing import full_state, own_state

@@ -56,6 +56,15 @@ def test_a_wall_that_stops_the_robot_for_a_while_does_not_change_the_scales() ->
     assert found.stuck_s == pytest.approx(10.0, abs=1.0)
 
 
+def test_scales_of_a_robot_that_was_stuck_for_most_of_its_drive_are_not_determined() -> None:
+    stuck = T[:-1] > 0.5 * T[-1]
+    truth = integrated(T, np.where(stuck, 0.0, FORWARD), np.where(stuck, 0.1 * TURN, TURN))
+    found = drift(integrated(T, 1.05 * FORWARD, 0.92 * TURN), truth)
+    assert found is not None
+    assert not found.scales.forward_deviation < 0.05
+    assert not found.scales.turn_deviation < 0.05
+
+
 def test_error_of_a_straight_path_is_its_scale() -> None:
     straight = np.zeros_like(TURN)
     found = drift(integrated(T, 1.03 * FORWARD, straight), integrated(T, FORWARD, straight))

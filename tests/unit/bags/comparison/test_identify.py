@@ -10,6 +10,7 @@ import pytest
 from gibson_sim.bags.comparison.drive_model import counted_velocities, limited_velocities, wanted_velocities, with_limits
 from gibson_sim.bags.comparison.encoder import common_step, fit_ticks
 from gibson_sim.bags.comparison.identify import DriveFit, fit_drive
+from gibson_sim.bags.comparison.parameters import CERTAINTY
 from gibson_sim.bags.comparison.recording import Commands, Track
 from gibson_sim.robots.drive_spec import DifferentialSpec
 from gibson_sim.robots.drives import PlanarVelocity, make_drive
@@ -26,9 +27,11 @@ SENT = np.arange(0.0, SCRIPT.duration, 0.05)
 COMMANDS = Commands(SENT, *np.array([SCRIPT.command(t) for t in SENT.tolist()]).T)
 
 
-def odometry(spec: DifferentialSpec, gains: tuple[float, float] = (1.0, 1.0), ticks: int = 0) -> Track:
+def odometry(
+    spec: DifferentialSpec, gains: tuple[float, float] = (1.0, 1.0), ticks: int = 0, commands: Commands = COMMANDS
+) -> Track:
     """Returns odometry at 60 Hz of a robot with this drive, delay included, whose odometry tells ``gains`` of the motion."""
-    t, linear, angular = wanted_velocities(COMMANDS, 0.0, SCRIPT.duration, HZ, 0.5)
+    t, linear, angular = wanted_velocities(commands, 0.0, SCRIPT.duration, HZ, 0.5)
     linear, angular = limited_velocities(spec, linear, angular, 1.0 / HZ)
     if ticks:
         free = with_limits(spec, 1e9, 1e9)
@@ -58,9 +61,29 @@ def test_delay_limits_and_gains_are_recovered() -> None:
     assert found.angular_gain.value == pytest.approx(1.08, rel=0.01)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_what_is_found_is_within_its_uncertainty_where_commands_were_noted_by_ticks_of_a_clock(seed: int) -> None:
+    obeyed = SENT + np.random.default_rng(seed).uniform(0.0, 0.02, len(SENT))
+    noted = replace(COMMANDS, t=np.floor(obeyed * 100.0) / 100.0)
+    found = fit_drive(DRIVE, noted, odometry(DRIVE, commands=replace(COMMANDS, t=obeyed)))
+    assert found is not None
+    for estimate, true in ((found.linear_acceleration, 1.0), (found.angular_acceleration, 4.0), (found.linear_gain, 1.0)):
+        assert estimate is not None
+        assert abs(estimate.value - true) < CERTAINTY * estimate.deviation < 0.2 * true
+
+
+def test_a_single_step_does_not_determine_a_limit() -> None:
+    once = Commands(SENT, np.where(SENT < 5.0, 0.0, 0.3), np.zeros(len(SENT)))
+    found = fit_drive(DRIVE, once, odometry(DRIVE, commands=once))
+    assert found is not None
+    assert found.linear_acceleration is None
+
+
 def test_ticks_of_the_encoder_are_recovered() -> None:
     track = odometry(DRIVE, ticks=1500)
-    assert fit_ticks(DRIVE, fitted(DRIVE, track), track) == pytest.approx(1500, rel=0.1)
+    ticks = fit_ticks(DRIVE, fitted(DRIVE, track), track)
+    assert ticks is not None
+    assert ticks.value == pytest.approx(1500, rel=0.1)
 
 
 def test_averaged_odometry_gets_ticks_that_make_as_much_noise() -> None:
@@ -72,7 +95,7 @@ def test_averaged_odometry_gets_ticks_that_make_as_much_noise() -> None:
     )
     ticks = fit_ticks(DRIVE, fitted(DRIVE, smooth), smooth)
     assert ticks is not None
-    assert 1500 < ticks < 6000
+    assert 1500 < ticks.value < 6000
 
 
 def test_common_step_of_multiples_is_found_among_small_errors() -> None:

@@ -95,7 +95,7 @@ PARAMETER = Parameter("drive", "max_linear_acceleration", 0, 1.0, 0.61234, "m/sÂ
 
 
 @pytest.mark.parametrize(
-    ("new", "deviation", "changes"), [(0.6, 0.01, True), (0.9995, 0.0, False), (0.9, 0.1, False), (0.9, float("nan"), True)]
+    ("new", "deviation", "changes"), [(0.6, 0.01, True), (0.9995, 0.0, False), (0.9, 0.1, False), (0.9, float("inf"), False)]
 )
 def test_only_clear_differences_change(new: float, deviation: float, changes: bool) -> None:
     assert replace(PARAMETER, new=new, deviation=deviation).changes is changes

@@ -23,6 +23,13 @@ def test_usual_names_are_found() -> None:
     assert found == {"cmd_vel": "/cmd_vel", "odom": "/odom", "truth": "/ground_truth/odom"}
 
 
+def test_commands_that_a_recorder_left_out_are_those_that_were_applied() -> None:
+    stamped = "geometry_msgs/msg/TwistStamped"
+    topics = infos(cmd_vel_applied=stamped, arm_servo__delta_twist_cmds=stamped)
+    assert find_topics(topics, {}, "bag") == {"cmd_vel": "/cmd_vel_applied"}
+    assert find_topics({**topics, **infos(cmd_vel=stamped)}, {}, "bag") == {"cmd_vel": "/cmd_vel"}
+
+
 def test_names_in_a_namespace_are_found() -> None:
     assert find_topics(infos(robot1__odom=ODOMETRY), {}, "bag") == {"odom": "/robot1/odom"}
 

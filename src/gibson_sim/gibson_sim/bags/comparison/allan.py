@@ -43,6 +43,8 @@ class NoiseModel:
     """Random walk of the bias, U/sqrt(s); 0 = none is seen in a recording of this length."""
     reaches: bool
     """Whether the curve rises again within the recording, so that the instability is more than a limit."""
+    walk_deviation: float = 0.0
+    """Standard deviation of the walk: few averages of the longest times tell it."""
 
 
 def overlapping_allan(values: F64, rate_hz: float, factors: Sequence[int]) -> F64:
@@ -98,4 +100,5 @@ def noise_model(curve: AllanCurve) -> NoiseModel:
     lowest = int(np.argmin(curve.deviation))
     rises = float(curve.deviation[-1]) > 1.3 * float(curve.deviation[lowest])
     walk = math.sqrt(float(parts[2])) if rises and walk_share > 0.3 else 0.0
-    return NoiseModel(math.sqrt(float(parts[0])), float(curve.deviation[lowest]) / FLICKER, walk, rises)
+    unsure = walk / math.sqrt(2.0 * float(curve.weights[-1]))
+    return NoiseModel(math.sqrt(float(parts[0])), float(curve.deviation[lowest]) / FLICKER, walk, rises, unsure)

@@ -16,6 +16,10 @@ LENGTHS = (1.0, 2.0, 5.0, 10.0)
 _STUCK, _STUCK_TURN = 0.05, 0.1
 """Metres and radians a second."""
 _LEAST_PATH, _LEAST_TURN = 1.0, math.radians(90.0)
+_LEAST_PIECES = 4
+"""Pieces of a second that must agree before scales are told."""
+_LEAST_SPREAD = 2e-4
+"""Metres or radians in a second that are no difference."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +32,10 @@ class Scales:
     """NaN where it turned less than 90 degrees."""
     veer: float
     """rad/m: turn that the wheels tell on top, for each true metre forward."""
+    forward_deviation: float = 0.0
+    """Standard deviations of these three; infinite where hardly any piece tells."""
+    turn_deviation: float = 0.0
+    veer_deviation: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +54,13 @@ class Drift:
     """rad/m: mean error of the heading over pieces of the shortest length, over that length."""
     turn_per_rad: float
     """Mean error of the heading over the angle turned, in quarters of a turn; NaN where it turned less."""
-    stuck_s: float = 0.0
-    """Seconds in which wheels and truth disagree by far: the robot was stuck, pushed, or its truth was wrong."""
+    stuck: tuple[tuple[float, float], ...] = ()
+    """(begin, end), seconds, in which wheels and truth disagree by far: the robot was stuck, pushed, or its truth was wrong."""
+
+    @property
+    def stuck_s(self) -> float:
+        """Seconds of these together."""
+        return sum(end - begin for begin, end in self.stuck)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,26 +130,26 @@ def _advances(track: Track) -> F64:
 
 def scales(pieces: Pieces) -> Scales:
     """Returns how the wheels' motion relates to the true one; pieces at which the robot was stuck or pushed do not count."""
-    forward = turn = math.nan
-    veer = 0.0
     goes, turns = pieces.path.sum() >= _LEAST_PATH, pieces.swept.sum() >= _LEAST_TURN
     moving = (pieces.path > 0.01) | (pieces.swept > 0.02) | (np.abs(pieces.forward) > 0.01) | (np.abs(pieces.turn) > 0.02)
     way, angle = pieces.true_forward[moving], pieces.true_turn[moving]
+    forward, turn, veer = (math.nan, math.inf), (math.nan, math.inf), (0.0, math.inf)
     if goes:
-        forward = float(_robust(way[:, None], pieces.forward[moving])[0])
+        (forward,) = _robust(way[:, None], pieces.forward[moving])
     if turns and goes:
-        turn, veer = _robust(np.stack([angle, way], axis=1), pieces.turn[moving]).tolist()
+        turn, veer = _robust(np.stack([angle, way], axis=1), pieces.turn[moving])
     elif turns:
-        turn = float(_robust(angle[:, None], pieces.turn[moving])[0])
+        (turn,) = _robust(angle[:, None], pieces.turn[moving])
     elif goes:
-        veer = float(_robust(way[:, None], pieces.turn[moving] - angle)[0])
-    return Scales(forward, turn, veer)
+        (veer,) = _robust(way[:, None], pieces.turn[moving] - angle)
+    return Scales(forward[0], turn[0], veer[0], forward[1], turn[1], veer[1])
 
 
-def _robust(columns: F64, target: F64) -> F64:
-    """Returns the coefficients, (C,), of columns (K, C) that add up to ``target`` (K,), by weights of Huber, then of Tukey.
+def _robust(columns: F64, target: F64) -> list[tuple[float, float]]:
+    """Returns the coefficients, C of them, of columns (K, C) that add up to ``target`` (K,), and the standard deviation of each.
 
-    See P. J. Huber, "Robust Statistics" (1981): least squares again and again, where large residuals count less (Tukey: not at all).
+    See P. J. Huber, "Robust Statistics" (1981): least squares again and again, where large residuals count less (Huber), then not at
+    all (Tukey). The deviation is that of the jackknife over the rows; it is infinite where less than two thirds of them agree.
     """
     weights: F64 = np.ones(len(target))
     found: F64 = np.zeros(columns.shape[1])
@@ -144,12 +157,27 @@ def _robust(columns: F64, target: F64) -> F64:
         root = np.sqrt(weights)
         found = np.asarray(np.linalg.lstsq(columns * root[:, None], target * root, rcond=None)[0], dtype=np.float64)
         residuals = np.abs(target - columns @ found)
-        spread = 1.4826 * float(np.median(residuals)) + 1e-6
+        spread = 1.4826 * float(np.median(residuals)) + _LEAST_SPREAD
         if turn < 10:
             weights = 1.0 / np.maximum(1.0, residuals / (1.345 * spread))
         else:
             weights = np.maximum(1.0 - (residuals / (4.685 * spread)) ** 2, 0.0) ** 2
-    return found
+    return list(zip(found.tolist(), _jackknife(columns, target - columns @ found, weights), strict=True))
+
+
+def _jackknife(columns: F64, residuals: F64, weights: F64) -> list[float]:
+    """Returns the standard deviations, C of them, of weighted least squares, by leaving out one row after the other."""
+    whole = (columns * weights[:, None]).T @ columns
+    variance = np.zeros(columns.shape[1])
+    agreeing = np.count_nonzero(weights > 0.1)
+    if agreeing < max(_LEAST_PIECES, len(weights) * 2 / 3):
+        return [math.inf] * columns.shape[1]
+    for row, residual, weight in zip(columns, residuals.tolist(), weights.tolist(), strict=True):
+        rest = whole - weight * np.outer(row, row)
+        if np.linalg.cond(rest) > 1e9:
+            return [math.inf] * columns.shape[1]
+        variance += np.square(np.linalg.solve(rest, weight * residual * row))
+    return [float(value) for value in np.sqrt(variance)]
 
 
 def drift(odometry: Track, truth: Track) -> Drift | None:
@@ -178,12 +206,13 @@ def drift(odometry: Track, truth: Track) -> Drift | None:
     )  # fmt: skip
 
 
-def _stuck(pieces: Pieces, of: Scales) -> float:
-    """Returns the seconds of pieces whose motions differ by 5 cm or 0.1 rad from what the scales explain."""
+def _stuck(pieces: Pieces, of: Scales) -> tuple[tuple[float, float], ...]:
+    """Returns the times of pieces whose motions differ by 5 cm or 0.1 rad from what the scales explain."""
     forward, turn = (1.0 if math.isnan(scale) else scale for scale in (of.forward, of.turn))
     far = np.abs(pieces.forward - forward * pieces.true_forward) > _STUCK
     far |= np.abs(pieces.turn - turn * pieces.true_turn - of.veer * pieces.true_forward) > _STUCK_TURN
-    return float(far.sum()) * float(np.median(np.diff(pieces.begin))) if len(pieces.begin) > 1 else 0.0
+    seconds = float(np.median(np.diff(pieces.begin))) if len(pieces.begin) > 1 else 0.0
+    return tuple((begin, begin + seconds) for begin in pieces.begin[far].tolist())
 
 
 def _relative_errors(odom: Track, true: Track, way: F64, length: float) -> tuple[F64, F64]:

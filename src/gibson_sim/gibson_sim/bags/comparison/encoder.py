@@ -7,15 +7,17 @@ the period of the speeds. Odometry that was averaged shows no such steps: then i
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from gibson_sim.bags.comparison.drive_model import counted_velocities, wheel_rows, with_limits
-from gibson_sim.bags.comparison.identify import DriveFit
+from gibson_sim.bags.comparison.identify import DriveFit, Estimate
 from gibson_sim.bags.comparison.recording import F64, Track
-from gibson_sim.bags.comparison.signals import speeds
+from gibson_sim.bags.comparison.signals import inside, speeds, stretches
 from gibson_sim.robots.drive_spec import AckermannSpec, DriveSpec
 from gibson_sim.robots.sensor_specs import WheelOdometrySpec
 
@@ -25,11 +27,17 @@ _LEAST_NOISE = 2e-4
 """m/s: odometry with less noise is exact."""
 _CLEAR = 0.9
 """How much of the speeds must have one phase for a period to be one; 1 = all."""
+_PERIOD_DEVIATION, _NOISE_DEVIATION = 0.01, 0.05
+"""Least standard deviations of ticks, as a part of them, that are found as a period and by their noise."""
+_LONGEST_STRETCH, _LEAST_STRETCHES = 40, 4.0
+"""Samples of a stretch that count, and how many stretches of one length tell a noise."""
 _MOST_STEPS = 60.0
 """Periods in the fastest speed: beyond, the gains are not known well enough to tell their phase."""
 
 
-def fit_ticks(spec: DriveSpec, fit: DriveFit, odometry: Track, *, step_hz: int = 240) -> int | None:
+def fit_ticks(
+    spec: DriveSpec, fit: DriveFit, odometry: Track, *, step_hz: int = 240, without: Sequence[tuple[float, float]] = ()
+) -> Estimate | None:
     """Returns the ticks a turn with which simulated odometry is as coarse as the recorded one; None = it is exact, or never even.
 
     A car's steering has encoders too, which are not modelled: None for it.
@@ -39,19 +47,22 @@ def fit_ticks(spec: DriveSpec, fit: DriveFit, odometry: Track, *, step_hz: int =
         fit: Of the recording.
         odometry: The recording's.
         step_hz: Steps a second of the simulation that the ticks are for.
+        without: (begin, end), seconds, of what is left out: there the robot was stuck.
     """
     if isinstance(spec, AckermannSpec):
         return None
-    measured = odometry_noise(fit, odometry)
-    if measured is None or measured[0] < _LEAST_NOISE:
+    measured = odometry_noise(fit, odometry, without)
+    if measured is None or measured.linear < _LEAST_NOISE:
         return None
     gains = [1.0 if gain is None else gain.value for gain in (fit.linear_gain, fit.angular_gain)]
     linear, angular = speeds(odometry)
     wheels = (np.stack([linear / gains[0], angular / gains[1]], axis=1) @ wheel_rows(spec).T).reshape(-1)
     step = common_step(wheels, 2.0 * math.pi * step_hz / _MOST_TICKS, 2.0 * math.pi * step_hz / _LEAST_TICKS)
     if step is not None:
-        return round(2.0 * math.pi * step_hz / step)
-    return _fit_by_noise(spec, fit, measured[0], gains, step_hz)
+        ticks = round(2.0 * math.pi * step_hz / step)
+        return Estimate(ticks, _PERIOD_DEVIATION * ticks)
+    found = _fit_by_noise(spec, fit, measured.linear, gains, step_hz)
+    return None if found is None else Estimate(found, max(measured.deviation, _NOISE_DEVIATION) * found)
 
 
 def common_step(values: F64, least: float, most: float) -> float | None:
@@ -79,24 +90,43 @@ def common_step(values: F64, least: float, most: float) -> float | None:
     return largest / float(best)
 
 
-def odometry_noise(fit: DriveFit, odometry: Track) -> tuple[float, float] | None:
-    """Returns what is left of (forward speed m/s, yaw rate rad/s) while the model moves evenly, standard deviations; None = it never does.
+@dataclass(frozen=True, slots=True)
+class SpeedNoise:
+    """Standard deviations of odometry's velocities while the model moves evenly, without what changes slowly."""
 
-    The mean of each even stretch is taken out: what is left is noise, not a wrong model.
+    linear: float
+    """m/s."""
+    angular: float
+    """rad/s."""
+    deviation: float
+    """Standard deviation of ``linear``, as a part of it, by the stretches that differ; infinite of few: at one speed counting may make
+    no noise, or twice that of another."""
+
+
+def odometry_noise(fit: DriveFit, odometry: Track, without: Sequence[tuple[float, float]] = ()) -> SpeedNoise | None:
+    """Returns the noise of odometry, apart from what is in ``without``, (begin, end) seconds; None = the model never moves evenly.
+
+    It is that of the differences of neighbours: what changes slowly is slip or a wrong model, not the noise of counting.
     """
     linear, angular = speeds(odometry)
-    even = _even(fit)
-    groups = np.split(np.flatnonzero(even), np.flatnonzero(np.diff(np.flatnonzero(even)) > 1) + 1) if even.any() else []
-    squares, freedom = np.zeros(2), 0
-    for rows in groups:
-        if len(rows) >= 8:
-            for axis, values in enumerate((linear[rows], angular[rows])):
-                squares[axis] += float(np.sum((values - values.mean()) ** 2))
-            freedom += len(rows) - 1
-    if freedom < 30:
+    even = _even(fit) & ~inside(fit.t, without)
+    squares, freedom = [], []
+    for first, past in stretches(even):
+        if past - first >= 8:
+            # A long stretch at one speed says no more than a short one.
+            count = min(past - first - 1, _LONGEST_STRETCH)
+            freedom.append(count)
+            squares.append([float(np.mean(np.diff(values[first:past]) ** 2)) / 2.0 * count for values in (linear, angular)])
+    total = sum(freedom)
+    if total < 30:
         return None
-    first, second = np.sqrt(squares / freedom).tolist()
-    return first, second
+    variances = np.sum(squares, axis=0) / total
+    scatter = np.array([own[0] - variances[0] * count for own, count in zip(squares, freedom, strict=True)]) / total
+    deviation = 0.5 * float(np.sqrt(np.sum(scatter**2))) / max(float(variances[0]), 1e-30)
+    speeds_seen = total**2 / float(np.sum(np.square(freedom)))
+    deviation = max(deviation, 0.5 / math.sqrt(speeds_seen)) if speeds_seen >= _LEAST_STRETCHES else math.inf
+    first_std, second_std = np.sqrt(variances).tolist()
+    return SpeedNoise(first_std, second_std, deviation)
 
 
 def _even(fit: DriveFit) -> NDArray[np.bool_]:
@@ -122,7 +152,7 @@ def _fit_by_noise(spec: DriveSpec, fit: DriveFit, measured: float, gains: list[f
         rows = np.clip(stamps, 0, len(t) - 1)
         simulated = Track(fit.t, fit.t, fit.t, fit.t, counted[0][rows] * gains[0], counted[1][rows] * gains[1])
         found = odometry_noise(fit, simulated)
-        return -12.0 if found is None else math.log(max(found[0], 1e-9)) - math.log(measured)
+        return -12.0 if found is None else math.log(max(found.linear, 1e-9)) - math.log(measured)
 
     low, high = math.log(_LEAST_TICKS), math.log(_MOST_TICKS)
     if noise(high) > 0.0 or noise(low) < 0.0:

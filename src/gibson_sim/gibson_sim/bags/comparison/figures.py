@@ -22,7 +22,13 @@ def figures(comparison: Comparison) -> dict[str, Any]:
             for row in comparison.rows
         ],
         "parameters": [
-            {**_plain(dataclasses.asdict(one)), "name": one.name, "changes": one.changes, "written": rounded(one)}
+            {
+                **_plain(dataclasses.asdict(one)),
+                "name": one.name,
+                "uncertainty": _plain(one.uncertainty),
+                "changes": one.changes,
+                "written": rounded(one),
+            }
             for one in comparison.parameters
         ],
         "topics": {

@@ -8,6 +8,7 @@ limits need the drive to be stepped anew.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -17,13 +18,20 @@ from scipy.optimize import least_squares
 
 from gibson_sim.bags.comparison.drive_model import limited_velocities, wanted_velocities, with_limits
 from gibson_sim.bags.comparison.recording import F64, Commands, Track
-from gibson_sim.bags.comparison.signals import speeds
+from gibson_sim.bags.comparison.signals import inside, speeds
 from gibson_sim.robots.drive_spec import AckermannSpec, DriveSpec
 
 LEAST_LINEAR, LEAST_ANGULAR = 0.05, 0.1
 """m/s and rad/s: commands that change by less teach nothing."""
-_MODEL_HZ = 120
-_LONGEST_DELAY = 1.0
+_MODEL_HZ = 240
+_EARLIEST, _LONGEST_DELAY = -0.05, 1.0
+"""Seconds. The clock by which commands were noted moves in ticks, so odometry may seem to follow before its command."""
+_SEGMENT_S = 1.0
+"""Length of the segments of a drive whose errors are taken to be independent, seconds."""
+_STEPS = (5e-4, 1e-3, 1e-3, 1e-3, 1e-3)
+"""By which each parameter is varied for derivatives."""
+_SOFT = 0.3
+"""Residuals beyond this part of the spread of the speed count less."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +66,9 @@ class DriveFit:
     angular: F64
 
 
-def fit_drive(spec: DriveSpec, commands: Commands, odometry: Track, *, timeout: float = 0.5) -> DriveFit | None:
+def fit_drive(
+    spec: DriveSpec, commands: Commands, odometry: Track, *, timeout: float = 0.5, without: Sequence[tuple[float, float]] = ()
+) -> DriveFit | None:
     """Returns the drive that explains the recording best; None = nothing was commanded that could tell.
 
     Args:
@@ -66,8 +76,9 @@ def fit_drive(spec: DriveSpec, commands: Commands, odometry: Track, *, timeout: 
         commands: As recorded.
         odometry: By the wheels.
         timeout: Seconds after which a command no longer counts.
+        without: (begin, end), seconds, of what is left out: there the robot was stuck.
     """
-    problem = _Problem(spec, commands, odometry, timeout)
+    problem = _Problem(spec, commands, odometry, timeout, without)
     if not (problem.tells_linear or problem.tells_angular):
         return None
     return problem.solve()
@@ -76,7 +87,9 @@ def fit_drive(spec: DriveSpec, commands: Commands, odometry: Track, *, timeout: 
 class _Problem:
     """Residuals of the model over delay, two limits and two gains."""
 
-    def __init__(self, spec: DriveSpec, commands: Commands, odometry: Track, timeout: float) -> None:
+    def __init__(
+        self, spec: DriveSpec, commands: Commands, odometry: Track, timeout: float, without: Sequence[tuple[float, float]]
+    ) -> None:
         self._t, (self._linear, self._angular) = odometry.t, speeds(odometry)
         # A robot that is seen to go faster than the file says can do so.
         fastest, fastest_turn = (1.05 * float(np.abs(values).max(initial=0.0)) for values in (self._linear, self._angular))
@@ -86,11 +99,13 @@ class _Problem:
         self._wanted = wanted_linear, wanted_angular
         self.tells_linear = len(self._grid) > 0 and float(np.ptp(wanted_linear)) >= LEAST_LINEAR
         self.tells_angular = len(self._grid) > 0 and float(np.ptp(wanted_angular)) >= LEAST_ANGULAR
-        self._within = (self._t >= begin + 0.5) & (self._t <= end)
+        self._within = (self._t >= begin + 0.5) & (self._t <= end) & ~inside(self._t, without)
         if len(self._grid):
             asked = np.abs(np.interp(self._t, self._grid, wanted_linear)) + np.abs(np.interp(self._t, self._grid, wanted_angular))
             self._within &= (asked > 0) | (np.abs(self._linear) > 0.01) | (np.abs(self._angular) > 0.02)
         self._scale = (max(float(np.std(self._linear)), 1e-3), max(float(np.std(self._angular)), 1e-3))
+        self._jitter_s = float(np.median(np.diff(self._t))) / math.sqrt(12.0) if len(self._t) > 1 else 0.0
+        """Standard deviation of the time of an event between two samples, seconds."""
         self._run = lru_cache(maxsize=16)(self._simulate)
 
     def _simulate(self, linear: float, angular: float) -> tuple[F64, F64]:
@@ -113,6 +128,49 @@ class _Problem:
             parts.append((angular - self._angular[self._within]) / self._scale[1])
         return np.concatenate(parts)
 
+    def _jacobian(self, p: NDArray[np.float64]) -> F64:
+        """Returns the derivatives of the residuals, (R, 5), by central differences."""
+        columns = []
+        for i, step in enumerate(_STEPS):
+            varied = np.zeros(len(p))
+            varied[i] = step
+            columns.append((self._residuals(p + varied) - self._residuals(p - varied)) / (2.0 * step))
+        return np.stack(columns, axis=1)
+
+    def _deviations(self, jacobian: F64, residuals: F64) -> list[float]:
+        """Returns the standard deviation of each parameter, infinite where the recording does not determine it.
+
+        What a model leaves unexplained is alike from sample to sample, so samples are no independent measurements: the deviation is that of
+        the jackknife, which leaves out one segment of the drive after the other (in one step of Newton each; B. Efron, "The Jackknife, the
+        Bootstrap and Other Resampling Plans", 1982). Beside it counts that events lie between two samples.
+
+        Args:
+            jacobian: (R, 5), with the weights of the loss, as ``least_squares`` returns it.
+            residuals: (R,), without weights.
+        """
+        # Of soft_l1: the Jacobian has the root of (1 + z)^-1.5, scores need (1 + z)^-0.5.
+        scores = jacobian * (residuals * (1.0 + (residuals / _SOFT) ** 2) ** 0.25)[:, None]
+        shifts = jacobian * (jacobian[:, 0] * self._jitter_s)[:, None]
+        norms = np.linalg.norm(jacobian, axis=0)
+        known = norms > 1e-6 * max(float(norms.max()), 1e-12)
+        jacobian, scores, shifts = jacobian[:, known], scores[:, known], shifts[:, known]
+        times = self._t[self._within]
+        segment = np.floor((times - times[0]) / _SEGMENT_S).astype(int) if len(times) else np.zeros(0, dtype=int)
+        segment = np.tile(segment, len(residuals) // max(len(times), 1))
+        variance, number = np.zeros(jacobian.shape[1]), 0
+        whole = jacobian.T @ jacobian
+        for one in np.unique(segment):
+            rows = segment == one
+            if not jacobian[rows].any():
+                continue
+            number += 1
+            rest = whole - jacobian[rows].T @ jacobian[rows]
+            variance += np.square(_solved(rest, scores[rows].sum(axis=0))) + np.square(_solved(whole, shifts[rows].sum(axis=0)))
+        out = np.full(len(norms), np.inf)
+        if number > 1:
+            out[known] = np.sqrt(variance)
+        return [float(value) for value in out]
+
     def _start(self) -> NDArray[np.float64]:
         """Returns the best of a coarse grid, since a late delay and a slow ramp look alike from afar."""
         limits = (0.3, 0.6, 1.2, 2.5, 6.0)
@@ -125,12 +183,13 @@ class _Problem:
 
     def solve(self) -> DriveFit:
         """Returns the best fit."""
-        low, high = [0.0, math.log(0.02), math.log(0.05), 0.2, 0.2], [_LONGEST_DELAY, math.log(50.0), math.log(200.0), 3.0, 3.0]
+        low = [_EARLIEST, math.log(0.02), math.log(0.05), 0.2, 0.2]
+        high = [_LONGEST_DELAY, math.log(50.0), math.log(200.0), 3.0, 3.0]
         best = least_squares(
-            self._residuals, self._start(), bounds=(low, high), x_scale=[0.02, 0.2, 0.2, 0.05, 0.05], diff_step=1e-4,
-            loss="soft_l1", f_scale=0.3, max_nfev=60,
+            self._residuals, self._start(), jac=self._jacobian, bounds=(low, high), x_scale=[0.02, 0.2, 0.2, 0.05, 0.05],
+            loss="soft_l1", f_scale=_SOFT, max_nfev=60,
         )  # fmt: skip
-        deviations = _deviations(best.jac, best.fun)
+        deviations = self._deviations(best.jac, best.fun)
         delay, log_linear, log_angular, linear_gain, angular_gain = (float(value) for value in best.x)
         linear, angular = self._model(best.x, self._t)
         is_car = isinstance(self._spec, AckermannSpec)
@@ -154,14 +213,14 @@ class _Problem:
         )
 
 
-def _deviations(jacobian: F64, residuals: F64) -> list[float]:
-    """Returns the standard deviation of each parameter, infinite where the data say nothing of it."""
-    variance = float(residuals @ residuals) / max(len(residuals) - jacobian.shape[1], 1)
-    norms = np.linalg.norm(jacobian, axis=0)
-    known = norms > 1e-6 * max(float(norms.max()), 1e-12)
-    out = np.full(jacobian.shape[1], np.inf)
-    out[known] = np.sqrt(np.maximum(np.diag(np.linalg.pinv(jacobian[:, known].T @ jacobian[:, known])) * variance, 0.0))
-    return [float(value) for value in out]
+def _solved(matrix: F64, right: F64) -> F64:
+    """Returns x, (N,), of ``matrix @ x = right``, a symmetric matrix; infinite where it says nothing of an unknown."""
+    out = np.full(len(right), np.inf)
+    told = np.diag(matrix) > 1e-9 * max(float(np.diag(matrix).max(initial=0.0)), 1e-30)
+    scale = np.sqrt(np.diag(matrix)[told])
+    normed = matrix[np.ix_(told, told)] / np.outer(scale, scale)
+    out[told] = np.linalg.lstsq(normed, right[told] / scale, rcond=1e-9)[0] / scale
+    return out
 
 
 def _rms(values: F64) -> float:

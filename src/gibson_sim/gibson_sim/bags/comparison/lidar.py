@@ -30,6 +30,8 @@ class LidarNoise:
     """Metres: all ranges are multiples of it; 0 = none seen."""
     dropout: float
     """Part of the beams that do not return although both neighbours do, from one surface; NaN = there are too few such."""
+    dropout_deviation: float = 0.0
+    """Its standard deviation: beams that pass through a gap of the scene miss scan after scan."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +85,7 @@ def lidar_noise(scans: Scans, rests: list[tuple[float, float]]) -> LidarNoise:
     noise = math.nan
     if freedom > 20:
         noise = math.sqrt(max(squares / freedom - step**2 / 12.0, 0.0))
-    return LidarNoise(count, scans.ranges.shape[1], noise, step, dropout_of(scans.ranges))
+    return LidarNoise(count, scans.ranges.shape[1], noise, step, *dropout_of(scans.ranges))
 
 
 def resolution_of(ranges: F64) -> float:
@@ -95,13 +97,22 @@ def resolution_of(ranges: F64) -> float:
     )
 
 
-def dropout_of(ranges: F64) -> float:
-    """Returns the part of beams that do not return between two that do, within a tenth of the same range; NaN = fewer than 100 such."""
+def dropout_of(ranges: F64) -> tuple[float, float]:
+    """Returns the part of beams that do not return between two that do, within a tenth of the same range, and its standard deviation.
+
+    NaN and infinite where there are fewer than 100 such.
+    """
     left, middle, right = ranges[:, :-2], ranges[:, 1:-1], ranges[:, 2:]
     good = np.isfinite(left) & np.isfinite(right)
     alike = np.zeros_like(good)
     alike[good] = np.abs(left[good] - right[good]) < 0.1 * np.minimum(left[good], right[good])
-    return 1.0 - float(np.isfinite(middle[alike]).mean()) if alike.sum() >= 100 else math.nan
+    total = int(alike.sum())
+    if total < 100:
+        return math.nan, math.inf
+    missed = alike & ~np.isfinite(middle)
+    part = float(missed.sum()) / total
+    scatter = [missed.sum(axis=axis) - part * alike.sum(axis=axis) for axis in (0, 1)]
+    return part, max(float(np.sqrt(np.sum(values**2))) for values in scatter) / total
 
 
 def scan_poses(scans: Scans, track: Track) -> F64:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from gibson_sim.bags.comparison.drift import Alphas, Drift, drift, fit_alphas
 from gibson_sim.bags.comparison.encoder import fit_ticks
-from gibson_sim.bags.comparison.identify import LEAST_ANGULAR, LEAST_LINEAR, DriveFit, fit_drive
+from gibson_sim.bags.comparison.identify import LEAST_ANGULAR, LEAST_LINEAR, DriveFit, Estimate, fit_drive
 from gibson_sim.bags.comparison.imu_noise import ImuNoise, imu_noise
 from gibson_sim.bags.comparison.lidar import LidarNoise, Residuals, lidar_noise, residuals_against_map
 from gibson_sim.bags.comparison.recording import Recording
@@ -38,7 +38,7 @@ class Measured:
     linear: AxisResponse | None = None
     angular: AxisResponse | None = None
     fit: DriveFit | None = None
-    ticks: int | None = None
+    ticks: Estimate | None = None
     drift: Drift | None = None
     alphas: Alphas | None = None
     imu: ImuNoise | None = None
@@ -58,6 +58,8 @@ def measure(recording: Recording, drive: DriveSpec | None, assumptions: Assumpti
     """
     commands, odometry, truth = recording.commands, recording.odometry, recording.truth
     still = rests(recording.imu, odometry, commands)
+    drifted = drift(odometry, truth) if odometry is not None and truth is not None else None
+    stuck = () if drifted is None else drifted.stuck
     linear = angular = fit = ticks = None
     if commands is not None and odometry is not None:
         forward, turning = speeds(odometry)
@@ -65,8 +67,8 @@ def measure(recording: Recording, drive: DriveSpec | None, assumptions: Assumpti
         linear = axis_response(commands.t, commands.linear, odometry.t, forward, least=LEAST_LINEAR, timeout=timeout)
         angular = axis_response(commands.t, commands.angular, odometry.t, turning, least=LEAST_ANGULAR, timeout=timeout)
         if drive is not None:
-            fit = fit_drive(drive, commands, odometry, timeout=timeout)
-            ticks = None if fit is None else fit_ticks(drive, fit, odometry, step_hz=assumptions.step_hz)
+            fit = fit_drive(drive, commands, odometry, timeout=timeout, without=stuck)
+            ticks = None if fit is None else fit_ticks(drive, fit, odometry, step_hz=assumptions.step_hz, without=stuck)
     on_map = truth if truth is not None else odometry
     scans, grid = recording.scans, recording.map
     return Measured(
@@ -76,7 +78,7 @@ def measure(recording: Recording, drive: DriveSpec | None, assumptions: Assumpti
         angular=angular,
         fit=fit,
         ticks=ticks,
-        drift=drift(odometry, truth) if odometry is not None and truth is not None else None,
+        drift=drifted,
         alphas=fit_alphas(odometry, truth) if odometry is not None and truth is not None else None,
         imu=None if recording.imu is None else imu_noise(recording.imu, still, assumptions.gravity),
         lidar=None if scans is None else lidar_noise(scans, still),

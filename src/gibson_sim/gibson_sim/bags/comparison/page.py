@@ -114,7 +114,7 @@ def _parameters(parameters: Sequence[Parameter]) -> str:
         return ""
     lines = []
     for one in sorted(parameters, key=lambda parameter: not parameter.changes):
-        spread = f" ± {number(one.deviation)}" if math.isfinite(one.deviation) and one.deviation > 0 else ""
+        spread = f" ± {number(one.uncertainty)}" if math.isfinite(one.deviation) and one.deviation > 0 else ""
         new = f"{rounded(one):g}" if one.changes else '<span class="quiet">stays</span>'
         kind = "much" if one.changes else "quiet"
         lines.append(
@@ -123,7 +123,10 @@ def _parameters(parameters: Sequence[Parameter]) -> str:
             f'<td class="quiet">{_text(one.because)}</td></tr>'
         )
     columns = [("parameter", False), ("now", True), ("fitted", True), ("", True), ("unit", False), ("from", False)]
-    caption = '<p class="caption">What would bring the simulated robot closer; <code>--fit</code> writes it to a file.</p>'
+    caption = (
+        '<p class="caption">What would bring the simulated robot closer; <code>--fit</code> writes it to a file. '
+        "A value stays that the recordings do not determine, or that differs by less than its uncertainty, ±.</p>"
+    )
     return f"<h2>Parameters of robot.yaml</h2>{caption}{_table(columns, lines)}"
 
 

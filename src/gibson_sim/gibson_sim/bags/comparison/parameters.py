@@ -1,20 +1,28 @@
 """Which values of the ``robot.yaml`` would bring a simulated robot closer to a real one. Pure.
 
 What the simulation has by itself (transport of commands, contact of wheels) is in its own recording too. So delays and ratios are not
-set to what the real recording shows, but changed by what the two recordings differ.
+set to what the real recording shows, but changed by what the two recordings differ. A value changes only where the recordings determine
+it, and where it differs from the present one by more than ``CERTAINTY`` standard deviations.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+
+import numpy as np
 
 from gibson_sim.bags.comparison.identify import Estimate
 from gibson_sim.bags.comparison.measure import Measured
 from gibson_sim.robots.drive_spec import AckermannSpec, DifferentialSpec, DriveSpec
-from gibson_sim.robots.sensor_specs import ImuSpec, LidarSpec
+from gibson_sim.robots.sensor_specs import ImuSpec, LidarSpec, WheelOdometrySpec
 from gibson_sim.robots.spec import RobotSpec
+
+CERTAINTY = 3.0
+"""Standard deviations by which a value must differ from the present one: of thirty values, hardly one differs so by chance."""
+_THREE_AXES = 1.0 / math.sqrt(6.0)
+"""Standard deviation of the root mean square of three values of a normal distribution, as a part of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,11 +38,12 @@ class Parameter:
     new: float
     unit: str
     deviation: float
-    """Standard deviation of ``new``, as far as it is known; NaN = it is not."""
+    """Standard deviation of ``new``; 0 = the messages say it, infinite = the recordings do not determine it."""
     because: str
     """Where it comes from, for readers."""
+    alone: bool = True
+    """Whether it changes by itself; else ``paired`` says whether it does, together with one that it must fit to."""
     paired: bool = False
-    """Whether one that it must fit to changes, so that it changes too."""
 
     @property
     def name(self) -> str:
@@ -42,11 +51,29 @@ class Parameter:
         return f"{self.section}.{self.key}"
 
     @property
+    def uncertainty(self) -> float:
+        """By how much ``new`` may be off: less than that is no difference."""
+        return CERTAINTY * self.deviation
+
+    @property
+    def verdict(self) -> str:
+        """What becomes of the present value, in words."""
+        unit = f" {self.unit}" if self.unit else ""
+        if self.changes:
+            return f"{self.name}: {self.old:.4g} → {self.new:.4g}{unit}" + (
+                f" ± {self.uncertainty:.2g}" if self.deviation else ""
+            )
+        if math.isinf(self.deviation):
+            return f"{self.name}: {self.old:.4g}{unit}, unchanged: the recordings do not determine it"
+        return f"{self.name}: {self.old:.4g}{unit}, unchanged: fitted {self.new:.4g} ± {max(self.uncertainty, 1e-3 * abs(self.new)):.2g}"
+
+    @property
     def changes(self) -> bool:
         """Whether the new value differs from the old one by more than it is uncertain, and by 1 in 1000."""
         difference = abs(self.new - self.old)
-        unsure = 0.0 if math.isnan(self.deviation) else 2.0 * self.deviation
-        return self.paired or difference > max(unsure, 1e-3 * max(abs(self.old), abs(self.new)), 1e-12)
+        if not self.alone:
+            return self.paired
+        return difference > max(self.uncertainty, 1e-3 * max(abs(self.old), abs(self.new)), 1e-12)
 
 
 def fitted_parameters(real: Measured, sim: Measured, robot: RobotSpec) -> tuple[Parameter, ...]:
@@ -62,7 +89,7 @@ def fitted_parameters(real: Measured, sim: Measured, robot: RobotSpec) -> tuple[
         found += _drive(real, sim, robot.drive)
         found += _odometry(real, sim, robot)
     found += _imu(real, robot)
-    found += _lidar(real, robot)
+    found += _lidar(real, sim, robot)
     return tuple(found)
 
 
@@ -106,30 +133,53 @@ def _truth_gain(measured: Measured, kind: str) -> Estimate | None:
     fit, of = measured.fit, measured.drift
     if fit is None or of is None:
         return None
-    gain, scale = (fit.linear_gain, of.scales.forward) if kind == "forward" else (fit.angular_gain, of.scales.turn)
-    if gain is None or math.isnan(scale) or scale == 0.0:
+    scales = of.scales
+    if kind == "forward":
+        gain, scale = fit.linear_gain, Estimate(scales.forward, scales.forward_deviation)
+    else:
+        gain, scale = fit.angular_gain, Estimate(scales.turn, scales.turn_deviation)
+    if gain is None or math.isnan(scale.value) or scale.value == 0.0:
         return None
-    return Estimate(gain.value / scale, gain.deviation / abs(scale))
+    ratio = gain.value / scale.value
+    return Estimate(ratio, math.hypot(gain.deviation / scale.value, ratio * scale.deviation / scale.value))
+
+
+def _told_gains(measured: Measured, wheels: WheelOdometrySpec) -> tuple[Estimate | None, Estimate | None]:
+    """Returns forward speed and yaw rate by odometry over those commanded; odometry's own random errors do not average out on a short way."""
+    fit = measured.fit
+    assert fit is not None
+    path, turned = (float(np.trapezoid(np.abs(values), fit.t)) for values in (fit.linear, fit.angular))
+    alphas = [max(getattr(wheels, f"alpha{i}"), getattr(measured.alphas, f"alpha{i}", 0.0)) for i in range(1, 5)]
+    forward = math.sqrt(alphas[2] * path + alphas[3] * turned) / path if path else 0.0
+    turn = math.sqrt(alphas[0] * turned + alphas[1] * path) / turned if turned else 0.0
+    first, second = (
+        None if gain is None else Estimate(gain.value, math.hypot(gain.deviation, random * gain.value))
+        for gain, random in ((fit.linear_gain, forward), (fit.angular_gain, turn))
+    )
+    return first, second
 
 
 def _odometry(real: Measured, sim: Measured, robot: RobotSpec) -> Iterator[Parameter]:
     a, b, wheels = real.fit, sim.fit, robot.sensors.wheel_odometry
     if a is None or b is None or robot.drive is None:
         return
-    forward, turn = _ratio(a.linear_gain, b.linear_gain), _ratio(a.angular_gain, b.angular_gain)
+    forward, turn = (_ratio(*pair) for pair in zip(_told_gains(real, wheels), _told_gains(sim, wheels), strict=True))
     if forward is not None:
-        mean = (wheels.left_radius_factor + wheels.right_radius_factor) / 2 * forward[0]
-        half = _half_difference(real, sim, robot.drive, wheels.right_radius_factor - wheels.left_radius_factor)
+        mean = (wheels.left_radius_factor + wheels.right_radius_factor) / 2
+        difference = wheels.right_radius_factor - wheels.left_radius_factor
+        new_mean, half = mean * forward[0], _half_difference(real, sim, robot.drive, difference)
         because = "speed by odometry over the one commanded; left and right by how it veers"
-        sides = [
-            Parameter("wheel_odometry", key, 0, old, min(max(new, 0.5), 2.0), "", forward[1], because)
-            for key, old, new in (
-                ("left_radius_factor", wheels.left_radius_factor, mean - half),
-                ("right_radius_factor", wheels.right_radius_factor, mean + half),
+        # One of them alone would make the robot veer, so they change together: for the size of both, or for their difference.
+        parts = ((mean, new_mean, forward[1]), (difference / 2, half.value, half.deviation))
+        changes = any(abs(new - old) > max(CERTAINTY * deviation, 1e-3) for old, new, deviation in parts)
+        for key, old, new in (
+            ("left_radius_factor", wheels.left_radius_factor, new_mean - half.value),
+            ("right_radius_factor", wheels.right_radius_factor, new_mean + half.value),
+        ):
+            deviation = math.hypot(forward[1], half.deviation)
+            yield Parameter(
+                "wheel_odometry", key, 0, old, min(max(new, 0.5), 2.0), "", deviation, because, alone=False, paired=changes
             )
-        ]
-        # One of them alone would make the robot veer.
-        yield from (replace(side, paired=any(one.changes for one in sides)) for side in sides)
         if turn is not None:
             ratio = forward[0] / turn[0]
             new = min(max(wheels.separation_factor * ratio, 0.5), 2.0)
@@ -137,22 +187,51 @@ def _odometry(real: Measured, sim: Measured, robot: RobotSpec) -> Iterator[Param
             because = "forward speed over yaw rate by odometry, each over the one commanded"
             yield Parameter("wheel_odometry", "separation_factor", 0, wheels.separation_factor, new, "", deviation, because)
     if real.ticks is not None:
+        ticks = _ticks(wheels.encoder_ticks, real.ticks, sim.ticks)
         because = "noise of the speed by odometry while it moves evenly"
-        yield Parameter("wheel_odometry", "encoder_ticks", 0, wheels.encoder_ticks, real.ticks, "", 0.02 * real.ticks, because)
+        yield Parameter("wheel_odometry", "encoder_ticks", 0, wheels.encoder_ticks, ticks.value, "", ticks.deviation, because)
     if real.alphas is not None:
         for key in ("alpha1", "alpha2", "alpha3", "alpha4"):
-            new = getattr(real.alphas, key)
-            deviation = 2.0 * real.alphas.uncertainty * new
-            because = "spread of odometry's errors over pieces of the drive"
-            yield Parameter("wheel_odometry", key, 0, getattr(wheels, key), new, "", deviation, because)
+            of_real, of_sim = (_alpha(side, key) for side in (real, sim))
+            old = getattr(wheels, key)
+            found = of_real if of_sim is None or of_real is None else _without_own(old, of_real, of_sim)
+            if found is not None:
+                because = "spread of odometry's errors over pieces of the drive"
+                yield Parameter("wheel_odometry", key, 0, old, max(found.value, 0.0), "", found.deviation, because)
 
 
-def _half_difference(real: Measured, sim: Measured, drive: DriveSpec, old: float) -> float:
+def _alpha(measured: Measured, key: str) -> Estimate | None:
+    alphas = measured.alphas
+    # Of its root it is ``uncertainty``.
+    return None if alphas is None else Estimate(getattr(alphas, key), 2.0 * alphas.uncertainty * getattr(alphas, key))
+
+
+def _without_own(old: float, real: Estimate, sim: Estimate) -> Estimate:
+    """Returns a variance, or a part, without what the recording of a robot that has ``old`` of it shows beyond ``old``."""
+    own = sim.value - old
+    return Estimate(real.value - own, math.hypot(real.deviation, sim.deviation, own))
+
+
+def _ticks(old: float, real: Estimate, sim: Estimate | None) -> Estimate:
+    """Returns the ticks of an encoder without the noise that a simulated robot's odometry has beside its ``old`` ticks (0 = exact)."""
+    # The variance of the noise goes with the square of the size of a tick.
+    variances = [Estimate(one.value**-2, 2.0 * one.deviation / one.value**3) for one in (real, sim) if one is not None]
+    exact = 1.0 / old**2 if old else 0.0
+    found = variances[0] if sim is None else _without_own(exact, *variances)
+    if found.value <= found.deviation:
+        return Estimate(real.value, math.inf)
+    ticks = found.value**-0.5
+    # Told by the size of a tick, so uncertain by a part of the coarser one of both.
+    return Estimate(ticks, 0.5 * ticks**2 * max(ticks, old) * found.deviation)
+
+
+def _half_difference(real: Measured, sim: Measured, drive: DriveSpec, old: float) -> Estimate:
     """Returns half of what the right radius factor is above the left one, by how odometry veers while the robot goes straight."""
     if not isinstance(drive, DifferentialSpec) or real.drift is None or sim.drift is None:
-        return old / 2
-    veer = real.drift.scales.veer - sim.drift.scales.veer
-    return (old + veer * drive.wheel_separation) / 2
+        return Estimate(old / 2, 0.0)
+    a, b = real.drift.scales, sim.drift.scales
+    deviation = math.hypot(a.veer_deviation, b.veer_deviation) * drive.wheel_separation / 2
+    return Estimate((old + (a.veer - b.veer) * drive.wheel_separation) / 2, deviation)
 
 
 def _imu(real: Measured, robot: RobotSpec) -> Iterator[Parameter]:
@@ -165,20 +244,25 @@ def _imu(real: Measured, robot: RobotSpec) -> Iterator[Parameter]:
     values: list[tuple[str, str, float, float]] = [
         ("gyro_noise", "rad/s/√Hz", imu.gyro.density, 1.5 * imu.gyro.density / math.sqrt(samples)),
         ("accel_noise", "m/s²/√Hz", imu.accel.density, 1.5 * imu.accel.density / math.sqrt(samples)),
-        ("gyro_bias", "rad/s", imu.gyro_bias_rms, imu.gyro.density / math.sqrt(imu.rest_s)),
-        ("accel_bias", "m/s²", imu.accel_bias_rms, imu.accel.density / math.sqrt(imu.rest_s)),
+        ("gyro_bias", "rad/s", imu.gyro_bias_rms, _bias_deviation(spec.gyro_bias, imu.gyro.density, imu.rest_s)),
+        ("accel_bias", "m/s²", imu.accel_bias_rms, _bias_deviation(spec.accel_bias, imu.accel.density, imu.rest_s)),
     ]
     if imu.gyro.walk:
-        values.append(("gyro_bias_walk", "rad/s/√s", imu.gyro.walk, math.nan))
+        values.append(("gyro_bias_walk", "rad/s/√s", imu.gyro.walk, imu.gyro.walk_deviation))
     if imu.accel.walk:
-        values.append(("accel_bias_walk", "m/s²/√s", imu.accel.walk, math.nan))
+        values.append(("accel_bias_walk", "m/s²/√s", imu.accel.walk, imu.accel.walk_deviation))
     for key, unit, new, deviation in values:
         because = "root mean square of the three axes at rest" if key.endswith("bias") else "Allan deviation at rest"
         yield Parameter("imu", key, index, getattr(spec, key), new, unit, deviation, because)
     yield _rate("imu", index, spec.rate_hz, imu.rate_hz)
 
 
-def _lidar(real: Measured, robot: RobotSpec) -> Iterator[Parameter]:
+def _bias_deviation(old: float, density: float, rest_s: float) -> float:
+    """Returns the standard deviation of the bias of three axes: of its measurement, and of what a spread of ``old`` gives one robot."""
+    return math.hypot(density / math.sqrt(rest_s), old * _THREE_AXES)
+
+
+def _lidar(real: Measured, sim: Measured, robot: RobotSpec) -> Iterator[Parameter]:
     index, scans = _sensor(robot.sensors.lidars, real.recording.topics.get("scan", "")), real.recording.scans
     if real.lidar is None or scans is None or index is None:
         return
@@ -191,21 +275,30 @@ def _lidar(real: Measured, robot: RobotSpec) -> Iterator[Parameter]:
         )
     if noise.resolution > 0.0:
         yield Parameter(
-            "lidar", "resolution", index, spec.resolution, noise.resolution, "m", math.nan, "all ranges are multiples of it"
+            "lidar", "resolution", index, spec.resolution, noise.resolution, "m", 0.0, "all ranges are multiples of it"
         )
-    if not math.isnan(noise.dropout):
-        deviation = math.sqrt(noise.dropout * (1.0 - noise.dropout) / max(scans.ranges.size, 1))
+    dropout = _dropout(real)
+    if dropout is not None:
+        of_sim = _dropout(sim)
+        found = dropout if of_sim is None else _without_own(spec.dropout, dropout, of_sim)
         because = "beams that do not return between two that do"
-        yield Parameter("lidar", "dropout", index, spec.dropout, noise.dropout, "", deviation, because)
+        new = min(max(found.value, 0.0), 1.0)
+        yield Parameter("lidar", "dropout", index, spec.dropout, new, "", found.deviation, because)
     for key, old, new, unit in (
         ("beams", float(spec.beams), float(noise.beams), ""),
         ("range_min", spec.range_min, scans.range_min, "m"),
         ("range_max", spec.range_max, scans.range_max, "m"),
     ):
-        yield Parameter("lidar", key, index, old, new, unit, math.nan, "as the messages say")
+        yield Parameter("lidar", key, index, old, new, unit, 0.0, "as the messages say")
     timing = (real.timing or {}).get(real.recording.topics.get("scan", ""))
     if timing is not None and timing.rate_hz:
         yield _rate("lidar", index, spec.rate_hz, timing.rate_hz)
+
+
+def _dropout(measured: Measured) -> Estimate | None:
+    """Returns the part of beams that do not return; None = it does not say it."""
+    lidar = measured.lidar
+    return None if lidar is None or math.isnan(lidar.dropout) else Estimate(lidar.dropout, lidar.dropout_deviation)
 
 
 def _rate(section: str, index: int, old: float, measured_hz: float) -> Parameter:

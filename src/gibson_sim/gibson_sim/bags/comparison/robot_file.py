@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,9 @@ from ruamel.yaml.error import YAMLError
 
 from gibson_sim.bags.comparison.parameters import Parameter
 from gibson_sim.errors import RobotError
-from gibson_sim.resources import find_robot
-from gibson_sim.robots.load import ROBOT_FILE, load_robot
+from gibson_sim.robots.load import find_robot_file
+from gibson_sim.scenes.robot_files import load_robot
+from gibson_sim.writing import write_file
 
 _WHOLE = ("encoder_ticks", "beams")
 """Keys whose values are whole numbers."""
@@ -26,10 +28,10 @@ def robot_file(robot: str) -> Path:
         RobotError: there is none.
     """
     load_robot(robot)
-    path = Path(robot)
-    if path.suffix not in (".yaml", ".yml") and len(path.parts) == 1:
-        path = find_robot(robot)
-    return (path / ROBOT_FILE if path.is_dir() else path).absolute()
+    path = find_robot_file(robot)
+    if path.suffix not in (".yaml", ".yml"):
+        raise RobotError(f"{path}: has no robot.yaml to change; write one: gibson-sim scene robot {path.name} --write robot.yaml")
+    return path
 
 
 def write_fitted(source: Path, parameters: Iterable[Parameter], output: Path) -> Path:
@@ -42,6 +44,7 @@ def write_fitted(source: Path, parameters: Iterable[Parameter], output: Path) ->
 
     Raises:
         RobotError: the file cannot be read, or would be no robot.
+        WriteError: the new one cannot be written.
     """
     yaml = YAML()
     yaml.width = 1000
@@ -55,9 +58,9 @@ def write_fitted(source: Path, parameters: Iterable[Parameter], output: Path) ->
     for parameter in parameters:
         if parameter.changes:
             _set(robot, parameter)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    with output.open("w", encoding="utf-8") as file:
-        yaml.dump(robot, file)
+    text = io.StringIO()
+    yaml.dump(robot, text)
+    write_file(output, text.getvalue())
     load_robot(output)
     return output
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -90,7 +92,7 @@ def speeds(track: Track) -> tuple[F64, F64]:
     return vx * np.cos(track.yaw) + vy * np.sin(track.yaw), np.gradient(track.yaw, track.t)
 
 
-def inside(t: F64, spans: list[tuple[float, float]]) -> NDArray[np.bool_]:
+def inside(t: F64, spans: Sequence[tuple[float, float]]) -> NDArray[np.bool_]:
     """Returns which of the times ``t``, (N,), are in any of the spans."""
     mask = np.zeros(len(t), dtype=bool)
     for begin, end in spans:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from gibson_sim.bags.reader import TopicInfo
 from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
 
 ODOMETRY, TWIST, TWIST_STAMPED = "nav_msgs/msg/Odometry", "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 POSE, POSE_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -29,7 +30,11 @@ class Role:
 
 
 ROLES: tuple[Role, ...] = (
-    Role("cmd_vel", (TWIST, TWIST_STAMPED), ("/cmd_vel", "/cmd_vel_out", "/cmd_vel_smoothed", "/cmd_vel_nav"), lacks="the response to commands"),
+    Role(
+        "cmd_vel", (TWIST, TWIST_STAMPED),
+        ("/cmd_vel", "/cmd_vel_applied", "/cmd_vel_out", "/cmd_vel_smoothed", "/cmd_vel_nav"),
+        lacks="the response to commands",
+    ),
     Role(
         "odom",
         (ODOMETRY,),
@@ -67,7 +72,7 @@ def topic_options(options: Sequence[str]) -> dict[str, dict[str, str]]:
         side, colon, role = left.rpartition(":")
         if not equals or not topic or role not in known or (colon and side not in SIDES):
             raise ConfigError(
-                f"--topic {option!r}: must be ROLE=/topic or real:ROLE=/topic or sim:ROLE=/topic; roles: {', '.join(known)}"
+                f"--topic {quoted(option)}: must be ROLE=/topic or real:ROLE=/topic or sim:ROLE=/topic; roles: {', '.join(known)}"
             )
         for one in (side,) if colon else SIDES:
             chosen[one][role] = topic if topic.startswith("/") else f"/{topic}"

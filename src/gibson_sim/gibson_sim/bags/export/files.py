@@ -11,11 +11,11 @@ from types import TracebackType
 from typing import Any
 
 import cv2
-import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.bags.export.read import Picture, depth_in_units
-from gibson_sim.errors import RecordError
+from gibson_sim.picture_files import write_array, write_picture
+from gibson_sim.writing import replacing, write_file
 
 JPEG_QUALITY = 95
 PNG_LEVEL = 2
@@ -63,7 +63,7 @@ class ImageFiles:
         """Takes a picture; waits while too many are not written yet.
 
         Raises:
-            RecordError: a file before could not be written.
+            WriteError: a file before could not be written.
         """
         while len(self._waiting) >= self._most:
             self._waiting.pop(0).result()
@@ -71,20 +71,13 @@ class ImageFiles:
         self._waiting.append(self._pool.submit(self._write, path, picture))
 
     def _write(self, path: Path, picture: Picture) -> None:
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            encoded = picture.encoded()
-            if encoded is not None:
-                path.write_bytes(encoded)
-                return
-            if path.suffix == ".npy":
-                np.save(path, picture.metres() if picture.stream.kind == "depth" else picture.array())
-                return
-            written = cv2.imwrite(str(path), self._pixels(picture), _options(path.suffix))
-        except OSError as error:
-            raise RecordError(f"{path} cannot be written: {error.strerror}; is the disk full?") from error
-        if not written:
-            raise RecordError(f"{path} cannot be written: is the folder writable and the disk not full?")
+        encoded = picture.encoded()
+        if encoded is not None:
+            write_file(path, encoded, durable=False)
+        elif path.suffix == ".npy":
+            write_array(path, picture.metres() if picture.stream.kind == "depth" else picture.array(), durable=False)
+        else:
+            write_picture(path, self._pixels(picture), _options(path.suffix), durable=False)
 
     def _pixels(self, picture: Picture) -> NDArray[Any]:
         if picture.stream.kind == "color":
@@ -109,9 +102,8 @@ def _options(suffix: str) -> Sequence[int]:
 
 def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> int:
     """Writes a CSV file; returns its number of rows."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     count = 0
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with replacing(path) as draft, draft.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(header)
         for row in rows:
@@ -122,5 +114,4 @@ def write_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]
 
 def write_lines(path: Path, lines: Iterable[str]) -> None:
     """Writes a text file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+    write_file(path, "".join(f"{line}\n" for line in lines))

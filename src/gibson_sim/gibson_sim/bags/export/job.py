@@ -12,6 +12,7 @@ from gibson_sim.bags.export.read import ExportCamera, Picture, find_cameras, nea
 from gibson_sim.bags.progress import Advance
 from gibson_sim.bags.reader import BagReader
 from gibson_sim.errors import ConfigError, RecordError
+from gibson_sim.quoting import quoted
 from gibson_sim.types import NS_PER_S
 
 Format = Literal["tum", "nerfstudio", "lerobot", "png"]
@@ -51,7 +52,7 @@ class ExportOptions:
             ("poses", self.poses, ("auto", "scene", "tf")),
         ):  # fmt: skip
             if value not in known:
-                raise ConfigError(f"{name} is {value!r}, must be one of {', '.join(known)}")
+                raise ConfigError(f"{name} is {quoted(value)}, must be one of {', '.join(known)}")
         if (
             self.every < 1
             or self.fps < 0
@@ -124,7 +125,7 @@ class ExportJob:
         if source is None:
             what = "its frame is in no /tf and /tf_static that reach "
             self.report.notes.append(
-                f"camera {camera.name} (frame {camera.frame_id!r}) has no poses: {what}"
+                f"camera {camera.name} (frame {quoted(camera.frame_id)}) has no poses: {what}"
                 f"{self.options.fixed_frame or 'another frame'}, and no /scene names it"
             )
         return source

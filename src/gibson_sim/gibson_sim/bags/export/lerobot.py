@@ -9,21 +9,21 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import av
 import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.bags.export.job import ExportJob
 from gibson_sim.bags.export.read import ExportCamera
 from gibson_sim.bags.stamps import header_stamp_ns, nominal_period_ns
+from gibson_sim.bags.video_file import write_frames
 from gibson_sim.errors import EnvironmentProblemError, RecordError
 from gibson_sim.geometry.transforms import yaw_from_quat
 from gibson_sim.types import NS_PER_S
+from gibson_sim.writing import replacing, write_file
 
 VERSION = "v3.0"
 _ODOMETRY, _JOINTS = "nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState"
@@ -117,7 +117,7 @@ def _state(job: ExportJob) -> _Series:
     if not parts:
         job.report.notes.append("there is no nav_msgs/Odometry: observation.state has joints alone")
     if joints:
-        _, _, msg = next(iter(job.bag.messages([joints[0]])))
+        msg = job.bag.first(joints[0])
         names = tuple(msg.name)
         parts.append(_read(job, joints[0], names, lambda msg: _joint_row(msg, names)))
     if not parts:
@@ -133,7 +133,7 @@ def _state(job: ExportJob) -> _Series:
 def _action(job: ExportJob) -> _Series:
     """Returns the velocity commands, each held until the next."""
     topics = [t for t, i in job.bag.topics().items() if i.type_name in _TWISTS and i.count]
-    topics.sort(key=lambda topic: (not topic.endswith("cmd_vel"), topic))
+    topics.sort(key=lambda topic: (not topic.endswith("cmd_vel"), not topic.endswith("cmd_vel_applied"), topic))
     if not topics:
         job.report.notes.append("there is no command (geometry_msgs/Twist or TwistStamped): action is zero")
         return _Series(_ACTION_NAMES, np.zeros(1, np.int64), np.zeros((1, 3)))
@@ -175,7 +175,6 @@ def _videos(
     for camera in cameras:
         key = f"observation.images.{camera.name}"
         path = job.output / "videos" / key / f"{_FILE}.mp4"
-        path.parent.mkdir(parents=True, exist_ok=True)
         measured = _write_video(job, camera, times, fps, path)
         width, height = _even_size(camera)
         info = {
@@ -197,18 +196,16 @@ def _write_video(job: ExportJob, camera: ExportCamera, times: NDArray[np.int64],
     )  # fmt: skip
     every = max(1, len(times) // _IMAGES_MEASURED)
     samples: list[NDArray[np.uint8]] = []
-    with av.open(str(path), "w") as container:
-        stream: Any = container.add_stream("libx264", rate=fps, options=_VIDEO_OPTIONS)
-        stream.width, stream.height, stream.pix_fmt = *_even_size(camera), "yuv420p"
-        stream.time_base = Fraction(1, fps)
+    width, height = _even_size(camera)
+
+    def frames() -> Iterator[tuple[int, NDArray[np.uint8]]]:
         for number, image in enumerate(_held(job, alone, times)):
-            rgb = np.ascontiguousarray(image[: stream.height, : stream.width])
+            rgb = image[:height, :width]
             if number % every == 0:
                 samples.append(rgb[::4, ::4])
-            frame = av.VideoFrame.from_ndarray(rgb, format="rgb24")
-            frame.pts, frame.time_base = number, Fraction(1, fps)
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode())
+            yield 1, rgb
+
+    write_frames(path, fps, frames(), options=_VIDEO_OPTIONS, channels="rgb24")
     values = np.concatenate([sample.reshape(-1, 3) for sample in samples]).astype(np.float64) / 255.0
     found = _statistics(values)
     return {
@@ -247,23 +244,18 @@ def _statistics(values: NDArray[np.float64]) -> dict[str, list[Any]]:
 
 def _write_data(folder: Path, numbers: dict[str, NDArray[np.float32]], columns: dict[str, NDArray[Any]]) -> None:
     import pyarrow as pa
-    from pyarrow import parquet
 
     arrays: dict[str, Any] = {
         key: pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1]) for key, values in numbers.items()
     }
     arrays.update({key: pa.array(values) for key, values in columns.items()})
-    path = folder / "data" / f"{_FILE}.parquet"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    parquet.write_table(pa.table(arrays), path)
+    _write_table(folder / "data" / f"{_FILE}.parquet", pa.table(arrays))
 
 
 def _write_meta(job: ExportJob, features: dict[str, dict[str, Any]], stats: dict[str, Any], count: int, fps: int) -> None:
     import pyarrow as pa
-    from pyarrow import parquet
 
     meta = job.output / "meta"
-    (meta / "episodes" / "chunk-000").mkdir(parents=True, exist_ok=True)
     videos = [key for key, feature in features.items() if feature["dtype"] == "video"]
     info = {
         "codebase_version": VERSION, "robot_type": None, "total_episodes": 1, "total_frames": count, "total_tasks": 1,
@@ -271,8 +263,8 @@ def _write_meta(job: ExportJob, features: dict[str, dict[str, Any]], stats: dict
         "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
         "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4", "features": features,
     }  # fmt: skip
-    (meta / "info.json").write_text(json.dumps(info, indent=4) + "\n", encoding="utf-8")
-    (meta / "stats.json").write_text(json.dumps(stats, indent=4) + "\n", encoding="utf-8")
+    write_file(meta / "info.json", json.dumps(info, indent=4) + "\n")
+    write_file(meta / "stats.json", json.dumps(stats, indent=4) + "\n")
     episode: dict[str, Any] = {
         "episode_index": 0, "tasks": [job.options.task], "length": count, "data/chunk_index": 0, "data/file_index": 0,
         "dataset_from_index": 0, "dataset_to_index": count, "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0,
@@ -283,9 +275,16 @@ def _write_meta(job: ExportJob, features: dict[str, dict[str, Any]], stats: dict
             f"videos/{key}/to_timestamp": count / fps,
         }  # fmt: skip
     episode |= {f"stats/{key}/{name}": value for key, values in stats.items() for name, value in values.items()}
-    parquet.write_table(pa.table({name: [value] for name, value in episode.items()}), meta / "episodes" / f"{_FILE}.parquet")
+    _write_table(meta / "episodes" / f"{_FILE}.parquet", pa.table({name: [value] for name, value in episode.items()}))
     tasks = pa.table({"task_index": pa.array([0], pa.int64()), "task": [job.options.task]})
-    parquet.write_table(tasks.replace_schema_metadata({b"pandas": _pandas_index()}), meta / "tasks.parquet")
+    _write_table(meta / "tasks.parquet", tasks.replace_schema_metadata({b"pandas": _pandas_index()}))
+
+
+def _write_table(path: Path, table: Any) -> None:
+    from pyarrow import parquet
+
+    with replacing(path) as draft:
+        parquet.write_table(table, draft)
 
 
 def _pandas_index() -> bytes:

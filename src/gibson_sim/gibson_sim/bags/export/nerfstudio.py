@@ -17,6 +17,8 @@ from gibson_sim.bags.export.files import MM_PER_METRE, ImageFiles, image_suffix,
 from gibson_sim.bags.export.job import ExportJob
 from gibson_sim.bags.export.read import ExportCamera, nearest
 from gibson_sim.errors import RecordError
+from gibson_sim.quoting import quoted
+from gibson_sim.writing import write_file
 
 OPENGL_FROM_OPTICAL: NDArray[np.float64] = np.diag([1.0, -1.0, -1.0, 1.0])
 """x right, y up, z back from x right, y down, z forward, and the other way round."""
@@ -60,7 +62,7 @@ def export_nerfstudio(job: ExportJob) -> None:
         "depth_unit_scale_factor": 1.0 / MM_PER_METRE,
         "frames": frames,
     }
-    (job.output / "transforms.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    write_file(job.output / "transforms.json", json.dumps(document, indent=1) + "\n")
     job.report.lines.append(f"{job.output / 'transforms.json'}: {len(frames)} frames of {', '.join(models)}, model {model}")
 
 
@@ -72,7 +74,7 @@ def _model(camera: ExportCamera) -> str:
     model = _MODELS.get(lens.model)
     if model is None or not lens.is_projective or len(lens.d) > 5:
         raise RecordError(
-            f"camera {camera.name} has the model {lens.model!r} with {len(lens.d)} numbers, which nerfstudio has not: draw the run "
+            f"camera {camera.name} has the model {quoted(lens.model)} with {len(lens.d)} numbers, which nerfstudio has not: draw the run "
             "again with a pinhole camera (`gibson-sim render`), or export to png"
         )
     return model

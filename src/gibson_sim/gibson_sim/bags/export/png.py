@@ -13,6 +13,7 @@ from gibson_sim.bags.export.job import ExportJob
 from gibson_sim.bags.export.read import ExportCamera, nearest
 from gibson_sim.bags.stamps import header_stamp_ns
 from gibson_sim.geometry.transforms import pose_from_matrix
+from gibson_sim.writing import write_file
 
 _POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
@@ -54,7 +55,7 @@ def _write_frames(job: ExportJob, camera: ExportCamera, files: dict[str, dict[in
         "distortion_model": lens.model if lens else "", "k": lens.k if lens else (), "d": lens.d if lens else (),
         "depth_units_per_metre": 1000 if job.options.depth == "png" else 1,
     }  # fmt: skip
-    (folder / "camera.json").write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
+    write_file(folder / "camera.json", json.dumps(values, indent=1) + "\n")
     job.report.lines.append(f"{folder}: {count} images with {', '.join(files)}")
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from gibson_sim.bags.reader import BagReader, image_to_array
 from gibson_sim.bags.stamps import header_stamp_ns, stamp_ns
 from gibson_sim.errors import RecordError
+from gibson_sim.quoting import quoted
 
 IMAGE, COMPRESSED, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
 Kind = Literal["color", "depth", "labels", "vectors"]
@@ -128,18 +129,18 @@ def find_cameras(
 
 def _stream(bag: BagReader, topic: str, type_name: str) -> Stream | str:
     """Returns what a topic carries, as its first message has it, or why that cannot be exported."""
-    _, _, msg = next(iter(bag.messages([topic])))
+    msg = bag.first(topic)
     if type_name == COMPRESSED:
         if topic.endswith("/compressedDepth"):
             return "depth is exported from raw images alone; record the topic without /compressedDepth"
         pixels = cv2.imdecode(np.frombuffer(msg.data, np.uint8), cv2.IMREAD_COLOR)
         if pixels is None:
-            return f"its format {msg.format!r} is neither JPEG nor PNG"
+            return f"its format {quoted(msg.format)} is neither JPEG nor PNG"
         suffix = "png" if bytes(msg.data[:4]) == b"\x89PNG" else "jpg"
         return Stream(topic, type_name, "color", suffix, msg.header.frame_id, pixels.shape[1], pixels.shape[0])
     kind = _kind(msg.encoding, topic)
     if kind is None:
-        return f"encoding {msg.encoding!r} is not known: convert it to one of {', '.join((*_COLORS, *_DEPTHS, *_VECTORS))}"
+        return f"encoding {quoted(msg.encoding)} is not known: convert it to one of {', '.join((*_COLORS, *_DEPTHS, *_VECTORS))}"
     return Stream(topic, type_name, kind, msg.encoding, msg.header.frame_id, msg.width, msg.height)
 
 
@@ -195,7 +196,7 @@ def _lenses(bag: BagReader) -> dict[str, Lens]:
     found = {}
     for topic, info in bag.topics().items():
         if info.type_name == INFO and info.count:
-            _, _, msg = next(iter(bag.messages([topic])))
+            msg = bag.first(topic)
             found[topic] = Lens(msg.distortion_model, tuple(map(float, msg.k)), tuple(map(float, msg.d)))
     return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -27,9 +28,15 @@ def export_bag(
     """Writes a data set; returns what was written and what the bag did not have.
 
     Raises:
-        RecordError: the bag has nothing to export, or not what the format needs; or a file cannot be written.
+        RecordError: the bag has nothing to export, or not what the format needs.
+        WriteError: a file cannot be written.
     """
     with BagReader(bag) as reader:
         job = ExportJob(reader, Path(output), options or ExportOptions(), advance)
-        _WRITERS[to](job)
+        try:
+            _WRITERS[to](job)
+        except BaseException:
+            # Half a data set looks like a whole one; the folder was empty before.
+            shutil.rmtree(job.output, ignore_errors=True)
+            raise
         return job.report

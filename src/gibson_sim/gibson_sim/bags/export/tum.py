@@ -16,6 +16,7 @@ from gibson_sim.bags.export.files import ImageFiles, image_suffix, seconds, writ
 from gibson_sim.bags.export.job import ExportJob
 from gibson_sim.bags.export.read import ExportCamera, nearest
 from gibson_sim.geometry.transforms import Mat4, pose_from_matrix
+from gibson_sim.writing import write_file
 
 DEPTH_PER_METRE = 5000.0
 
@@ -94,4 +95,4 @@ def _write_lens(camera: ExportCamera, folder: Path) -> None:
         "width": camera.width, "height": camera.height, "frame_id": camera.frame_id, "depth_units_per_metre": DEPTH_PER_METRE,
         "distortion_model": lens.model if lens else "", "k": list(lens.k) if lens else [], "d": list(lens.d) if lens else [],
     }  # fmt: skip
-    (folder / "camera.yaml").write_text(yaml.safe_dump(values, sort_keys=False, default_flow_style=None), encoding="utf-8")
+    write_file(folder / "camera.yaml", yaml.safe_dump(values, sort_keys=False, default_flow_style=None))

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.errors import GibsonSimError
+from gibson_sim.picture_files import write_picture
 
 Rgb = NDArray[np.uint8]
 Color = tuple[int, int, int]
@@ -68,13 +68,10 @@ def write_pictures(folder: Path, names: list[str]) -> None:
     """Writes the textures of these names as ``<name>.jpg``.
 
     Raises:
-        GibsonSimError: a file cannot be written.
+        WriteError: a file cannot be written.
     """
     for name in names:
-        path = folder / f"{name}.jpg"
-        picture = np.ascontiguousarray(PICTURES[name]()[:, :, ::-1])
-        if not cv2.imwrite(str(path), picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]):
-            raise GibsonSimError(f"{path} cannot be written: is the folder writable and the disk not full?")
+        write_picture(folder / f"{name}.jpg", PICTURES[name]()[:, :, ::-1], (cv2.IMWRITE_JPEG_QUALITY, _QUALITY))
 
 
 def noise(width: int, height: int, cells: tuple[float, float], seed: int, octaves: int = 4) -> NDArray[np.float64]:

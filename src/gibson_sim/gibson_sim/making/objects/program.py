@@ -17,6 +17,7 @@ from gibson_sim.making.objects.catalogue import OBJECTS
 from gibson_sim.making.objects.model import ObjectModel
 from gibson_sim.making.objects.pictures import PICTURES, write_pictures
 from gibson_sim.making.objects.urdf import object_urdf
+from gibson_sim.writing import write_file
 
 Progress = Callable[[str], None]
 LICENCE = """\
@@ -48,9 +49,8 @@ def make_objects(names: Sequence[str], output: Path, blender_python: str, progre
         write_pictures(Path(folder), list(PICTURES))
         _model(models, Path(folder), output, blender_python, progress)
     for model in models:
-        (output / model.name).mkdir(parents=True, exist_ok=True)
-        (output / model.name / f"{model.name}.urdf").write_text(object_urdf(model), encoding="utf-8")
-    (output / "LICENSE").write_text(LICENCE, encoding="utf-8")
+        write_file(output / model.name / f"{model.name}.urdf", object_urdf(model))
+    write_file(output / "LICENSE", LICENCE)
 
 
 def chosen(names: Sequence[str]) -> list[ObjectModel]:

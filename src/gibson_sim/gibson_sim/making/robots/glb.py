@@ -13,6 +13,7 @@ from gibson_sim.geometry.colours import linear_from_srgb
 from gibson_sim.making.robots.surfaces import Solid
 from gibson_sim.scenes.glb_file import glb_bytes
 from gibson_sim.types import Vec3
+from gibson_sim.writing import write_file
 
 _BYTE, _USHORT, _FLOAT, _ARRAY, _INDICES = 5120, 5123, 5126, 34962, 34963
 _Z_UP_TO_Y_UP = [1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1]
@@ -64,7 +65,7 @@ def write_solids(path: Path, solids: Sequence[Solid], finishes: Mapping[str, Fin
         "meshes": [{"primitives": primitives}], "materials": [_material(name, finishes[name]) for name in used],
         "bufferViews": views, "accessors": accessors, "buffers": [{"byteLength": len(binary)}],
     }  # fmt: skip
-    path.write_bytes(glb_bytes(document, binary))
+    write_file(path, glb_bytes(document, binary))
 
 
 def _merged(solids: Sequence[Solid]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]:

@@ -90,9 +90,10 @@ class Drive(ABC):
         self.servo = servo
         self.velocity = PlanarVelocity()
         """What the base was told last, within the limits; with slip it is not what the base does."""
-        response = response or Response()
-        self._delay = CommandDelay(response.delay)
-        self._grip, self._turn_grip = 1.0 - response.slip, 1.0 - response.turn_slip
+        self.response = response or Response()
+        """Its delay and slip."""
+        self._delay = CommandDelay(self.response.delay)
+        self._grip, self._turn_grip = 1.0 - self.response.slip, 1.0 - self.response.turn_slip
         self._path = DeadReckoning()
 
     def targets(self, wanted: PlanarVelocity, dt: float) -> DriveTargets:

@@ -29,8 +29,8 @@ from gibson_sim.ros.conversions.maps import floor_map_to_msg
 from gibson_sim.ros.conversions.point_cloud import cloud_to_msg
 from gibson_sim.ros.conversions.robot import (
     joint_command_from_msg,
-    odometry_covariances,
     odometry_pose,
+    planar_covariance,
     planar_from_odometry,
     scan_to_msg,
     velocity_from_msg,
@@ -58,8 +58,8 @@ __all__ = [
     "label_info_to_msg",
     "label_info_type",
     "lidar_cloud_to_msg",
-    "odometry_covariances",
     "odometry_pose",
+    "planar_covariance",
     "planar_from_odometry",
     "pose_from_msg",
     "pose_to_msg",

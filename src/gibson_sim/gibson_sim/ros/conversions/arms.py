@@ -11,8 +11,7 @@ from gibson_sim.robots.collision_count import CollisionCount
 from gibson_sim.robots.grasping import GraspState
 from gibson_sim.robots.servo import ToolTwist
 from gibson_sim.ros.conversions.basics import header_to_msg, vector_from_msg, vector_to_msg
-from gibson_sim.scenes.spec import WORLD_FRAME
-from gibson_sim.types import Contact
+from gibson_sim.types import WORLD_FRAME, Contact
 
 
 def tool_twist_from_msg(msg: TwistStamped, frame_prefix: str = "") -> ToolTwist:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from gibson_sim.errors import SceneError
+from gibson_sim.quoting import quoted
 from gibson_sim.ros.conversions.basics import (
     header_to_msg,
 )
@@ -126,7 +127,7 @@ def _label_module() -> Any:
 def array_from_image(msg: Image) -> NDArray[Any]:
     """Returns the pixels of an image in one of our encodings, (H, W), (H, W, 2) or (H, W, 3); they share the message's memory."""
     if msg.encoding not in _PIXELS:
-        raise SceneError(f"image has encoding {msg.encoding!r}, known: {', '.join(_PIXELS)}")
+        raise SceneError(f"image has encoding {quoted(msg.encoding)}, known: {', '.join(_PIXELS)}")
     kind, channels = _PIXELS[msg.encoding]
     rows = np.frombuffer(msg.data, kind).reshape(msg.height, -1)[:, : msg.width * channels]
     return rows if channels == 1 else rows.reshape(msg.height, msg.width, channels)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from array import array
+from collections.abc import Sequence
 
 import numpy as np
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry as RosOdometry
-from numpy.typing import NDArray
 from sensor_msgs.msg import JointState, LaserScan
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMsg
 
@@ -27,6 +27,9 @@ from gibson_sim.types import (
     VelocityCommand,
 )
 
+_UNKNOWN = 1e6
+"""Variance of what is not measured, m^2, rad^2 and their rates."""
+
 
 def velocity_from_msg(msg: Twist, stamp_ns: int) -> VelocityCommand:
     """Returns the command in a Twist that arrived at ``stamp_ns``.
@@ -40,10 +43,6 @@ def velocity_from_msg(msg: Twist, stamp_ns: int) -> VelocityCommand:
 def odometry_pose(odometry: Odometry) -> Pose:
     """Returns T_odom_base."""
     return Pose((odometry.x, odometry.y, 0.0), quat_from_rpy(0.0, 0.0, odometry.yaw))
-
-
-def _diagonal(values: tuple[float, ...]) -> NDArray[np.float64]:
-    return np.diag(np.array(values, dtype=np.float64)).ravel()
 
 
 def scan_to_msg(scan: Scan, frame_id: str, scan_time: float) -> LaserScan:
@@ -67,14 +66,21 @@ def planar_from_odometry(msg: RosOdometry) -> tuple[float, float, float, int]:
     return msg.pose.pose.position.x, msg.pose.pose.position.y, yaw, time_from_msg(msg.header.stamp)
 
 
-def odometry_covariances() -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Returns the covariances of pose and twist, 36 numbers each: those of good wheels on a hard floor.
+def planar_covariance(matrix: Sequence[float]) -> tuple[float, ...]:
+    """Returns the 36 numbers of a message for nine of (x, y, yaw), each by rows.
 
     A planar base says nothing of z, roll and pitch: a filter must not trust them, nor divide by zero.
     """
-    pose = _diagonal((1e-3, 1e-3, 1e6, 1e6, 1e6, 1e-3))
-    twist = _diagonal((1e-4, 1e-4, 1e6, 1e6, 1e6, 1e-4))
-    return tuple(pose.tolist()), tuple(twist.tolist())
+    xx, xy, xt, yx, yy, yt, tx, ty, tt = matrix
+    no, far = 0.0, _UNKNOWN
+    return (
+        xx, xy, no, no, no, xt,
+        yx, yy, no, no, no, yt,
+        no, no, far, no, no, no,
+        no, no, no, far, no, no,
+        no, no, no, no, far, no,
+        tx, ty, no, no, no, tt,
+    )  # fmt: skip
 
 
 def joint_command_from_msg(msg: JointTrajectoryMsg | JointState) -> JointCommand:

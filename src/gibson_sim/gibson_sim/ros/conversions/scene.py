@@ -23,6 +23,7 @@ from gibson_msgs.msg import (
     Visual as RosVisual,
 )
 from gibson_sim.errors import SceneError
+from gibson_sim.quoting import quoted
 from gibson_sim.robots.spec import Look, Pattern, Shape, ShapeKind, VisualSpec
 from gibson_sim.ros.conversions.basics import (
     header_to_msg,
@@ -32,9 +33,10 @@ from gibson_sim.ros.conversions.basics import (
     vector_from_msg,
     vector_to_msg,
 )
-from gibson_sim.scenes.spec import UNLABELLED, WORLD_FRAME, DrawnScene, LightSpec, PointLight
+from gibson_sim.scenes.spec import UNLABELLED, DrawnScene, LightSpec, PointLight
 from gibson_sim.types import (
     OUTPUTS,
+    WORLD_FRAME,
     CameraSpec,
     DepthNoise,
     ImageEffects,
@@ -81,7 +83,7 @@ def scene_from_msg(msg: RosScene) -> DrawnScene:
 
     def pick(names: tuple[str, ...], index: int, what: str) -> str:
         if not 0 <= index < len(names):
-            raise SceneError(f"scene {msg.name!r}: {what} {index} is out of range, there are {len(names)}")
+            raise SceneError(f"scene {quoted(msg.name)}: {what} {index} is out of range, there are {len(names)}")
         return names[index]
 
     def link_name(index: int) -> str:
@@ -91,7 +93,9 @@ def scene_from_msg(msg: RosScene) -> DrawnScene:
     visuals = []
     for v in msg.visuals:
         if v.shape not in _SHAPE_KINDS:
-            raise SceneError(f"scene {msg.name!r}: visual {v.name!r} has shape {v.shape}, known: {sorted(_SHAPE_KINDS)}")
+            raise SceneError(
+                f"scene {quoted(msg.name)}: visual {quoted(v.name)} has shape {v.shape}, known: {sorted(_SHAPE_KINDS)}"
+            )
         color = (v.color.r, v.color.g, v.color.b, v.color.a) if v.color.a > 0 else None
         semantic_class = pick(classes, v.semantic_class, "semantic class")
         visuals.append(

@@ -15,8 +15,10 @@ import cv2
 import numpy as np
 import yaml
 
+from gibson_sim.picture_files import write_picture
 from gibson_sim.scenes.generator import furniture, textures
 from gibson_sim.scenes.generator.gltf import Paint, Solid, write_glb
+from gibson_sim.writing import write_file
 
 HEIGHT = 2.6
 THICKNESS = 0.12
@@ -126,7 +128,7 @@ class _Flat:
     def texture(self, name: str, image: textures.Image, quality: int = 88) -> str:
         """Writes a texture; returns its name as a mesh in ``assets`` sees it."""
         path = self.folder / "assets" / "textures" / f"{name}.jpg"
-        cv2.imwrite(str(path), image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
+        write_picture(path, image[..., ::-1], (cv2.IMWRITE_JPEG_QUALITY, quality), durable=False)
         return f"textures/{name}.jpg"
 
     def add(
@@ -198,8 +200,8 @@ def make_flat(folder: Path, seed: int = 1) -> None:
         "objects": flat.objects,
     }
     text = yaml.safe_dump(description, sort_keys=False, default_flow_style=None, width=130)
-    (folder / "scene.yaml").write_text(f"# Made by: python -m gibson_sim.scenes.generator flat DIR --seed {seed}\n{text}")
-    (folder / "LICENSE").write_text(LICENSE)
+    write_file(folder / "scene.yaml", f"# Made by: python -m gibson_sim.scenes.generator flat DIR --seed {seed}\n{text}")
+    write_file(folder / "LICENSE", LICENSE)
 
 
 def _make_walls(flat: _Flat) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gibson_sim.scenes.glb_file import glb_bytes
+from gibson_sim.writing import write_file
 
 F32 = NDArray[np.float32]
 _ARRAY, _INDICES = 34962, 34963
@@ -169,7 +170,7 @@ def write_glb(path: Path, solid: Solid) -> None:
         document["textures"] = [{"source": i} for i in range(len(images))]
     if any(p.unlit for p in solid.points):
         document["extensionsUsed"] = ["KHR_materials_unlit"]
-    path.write_bytes(glb_bytes(document, binary))
+    write_file(path, glb_bytes(document, binary), durable=False)
 
 
 def _y_up(z_up: F32) -> F32:

@@ -19,11 +19,13 @@ import yaml
 from numpy.typing import ArrayLike, NDArray
 
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, Mat4
+from gibson_sim.picture_files import write_picture
 from gibson_sim.scenes.generator import rooms_atlas, rooms_furniture
 from gibson_sim.scenes.generator.gltf import Paint, Solid, write_glb
 from gibson_sim.scenes.generator.rooms_atlas import Face
 from gibson_sim.scenes.generator.rooms_furniture import RoundedBox
 from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart, TextureSource, area_normals
+from gibson_sim.writing import write_file
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -405,7 +407,7 @@ def make_rooms(folder: Path, seed: int = 0, triangles: int = 100_000, atlas: int
     parts = rooms_parts(triangles, seed, atlas)
     texture = next(iter(parts.values()))[1].material.texture
     assert texture is not None
-    cv2.imwrite(str(folder / "atlas.jpg"), cv2.cvtColor(texture.pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 92])
+    write_picture(folder / "atlas.jpg", cv2.cvtColor(texture.pixels, cv2.COLOR_RGB2BGR), (cv2.IMWRITE_JPEG_QUALITY, 92))
     _write(folder / "rooms.glb", merged(parts).parts[0], "atlas.jpg")
     objects = []
     for name, (semantic_class, part) in parts.items():
@@ -418,7 +420,7 @@ def make_rooms(folder: Path, seed: int = 0, triangles: int = 100_000, atlas: int
         "starts": [{"name": "south_west", "xy": [1.8, 1.65], "yaw_deg": 0.0}],
         "objects": objects,
     }
-    (folder / "scene.yaml").write_text(yaml.safe_dump(scene, sort_keys=False), encoding="utf-8")
+    write_file(folder / "scene.yaml", yaml.safe_dump(scene, sort_keys=False))
 
 
 def _write(path: Path, part: MeshPart, texture: str) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, pose_from_mat
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.spec import Shape, VisualSpec
 from gibson_sim.robots.urdf import UrdfJoint
-from gibson_sim.scenes.mesh import MeshLoader
+from gibson_sim.scenes.mesh import MeshLoader, mesh_folders
 from gibson_sim.scenes.mesh_types import merge
 from gibson_sim.scenes.spec import SceneSpec
 
@@ -26,7 +25,7 @@ def body_triangles(scene: SceneSpec) -> Triangles:
     """Returns vertices (V, 3), world frame, metres, and triangles (F, 3) of the collision shapes of all bodies; meshes as their hulls."""
     shapes = [c.shape for body in scene.bodies for link in body.model.links for c in link.collisions]
     # Whoever loaded the bodies has checked each path already.
-    loader = MeshLoader(sorted({Path(shape.mesh).parent for shape in shapes if shape.kind == "mesh"}), textures=False)
+    loader = MeshLoader(mesh_folders(shapes), textures=False)
     known: dict[Shape, Triangles] = {}
     parts: list[Triangles] = []
     for body in scene.bodies:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
 from gibson_sim.scenes.floor_map import FloorMap
+from gibson_sim.writing import write_file
 
 Bytes = NDArray[np.uint8]
 
@@ -39,7 +40,7 @@ def write_nav2_map(floor: FloorMap, path: Path) -> tuple[Path, Path]:
     image, description = path.with_name(f"{path.name}.pgm"), path.with_name(f"{path.name}.yaml")
     # Row 0 of the picture is the highest y.
     rows, columns = floor.shape
-    _write(image, f"P5\n{columns} {rows}\n255\n".encode() + np.ascontiguousarray(picture[::-1]).tobytes())
+    write_file(image, f"P5\n{columns} {rows}\n255\n".encode() + np.ascontiguousarray(picture[::-1]).tobytes())
     meta = {
         "image": image.name,
         "mode": "trinary",
@@ -49,7 +50,7 @@ def write_nav2_map(floor: FloorMap, path: Path) -> tuple[Path, Path]:
         "occupied_thresh": 0.65,
         "free_thresh": 0.25,
     }
-    _write(description, yaml.safe_dump(meta, sort_keys=False, default_flow_style=None).encode())
+    write_file(description, yaml.safe_dump(meta, sort_keys=False, default_flow_style=None).encode())
     return image, description
 
 
@@ -64,9 +65,9 @@ def write_gibson_maps(floors: Sequence[FloorMap], folder: Path) -> tuple[Path, .
     paths = []
     for number, floor in enumerate(floors):
         paths.append(folder / f"floor_trav_{number}.png")
-        _write(paths[-1], _png(_gibson_picture(floor)))
+        write_file(paths[-1], _png(_gibson_picture(floor)))
     paths.append(folder / FLOORS)
-    _write(paths[-1], "".join(f"{floor.floor_z:g}\n" for floor in floors).encode())
+    write_file(paths[-1], "".join(f"{floor.floor_z:g}\n" for floor in floors).encode())
     return tuple(paths)
 
 
@@ -88,7 +89,7 @@ def write_picture(floor: FloorMap, path: Path, radius: float, *, pixels: int = 3
     picture[floor.free] = _COLOURS["near"]
     picture[floor.inflate(radius)] = _COLOURS["free"]
     large = np.repeat(np.repeat(picture[::-1, :, ::-1], pixels, axis=0), pixels, axis=1)
-    _write(path, _png(large))
+    write_file(path, _png(large))
 
 
 def _gibson_picture(floor: FloorMap) -> Bytes:
@@ -115,11 +116,3 @@ def _png(picture: Bytes) -> bytes:
     if not done:
         raise SceneError(f"a picture of {picture.shape} cannot be encoded")
     return data.tobytes()
-
-
-def _write(path: Path, content: bytes) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be written: {error.strerror or error}") from error

@@ -1,0 +1,97 @@
+"""``gibson-sim``: the command line, its sub-commands and exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from importlib import import_module
+
+from gibson_sim import __version__
+from gibson_sim.cli.exit_codes import ExitCode, table
+from gibson_sim.cli.parser import Parser, choice_error
+from gibson_sim.errors import AlreadyRunningError, GibsonSimError
+from gibson_sim.interrupts import Interruptible
+from gibson_sim.writing import cannot_write, is_of_the_disk
+
+MODULE_OF = {
+    "run": "run", "drive": "clients", "record": "clients", "snapshot": "clients", "bag": "bag", "bench": "bench", "compare": "compare",
+    "demo": "demo", "doctor": "doctor", "env": "env", "export": "export", "gallery": "gallery", "params": "params", "render": "render",
+    "replay": "replay", "scene": "scene", "task": "task", "top": "top",
+}  # fmt: skip
+"""Sub-command -> module of this package that has it. Only that module is loaded: a launcher needs neither PyBullet nor OpenGL."""
+EPILOG = f"""\
+{table()}
+
+first steps:
+  gibson-sim run                          both nodes, our own flat
+  gibson-sim drive keyboard               in a second terminal
+  gibson-sim run --scene DIR --drive tour --duration 30 --record out/tour --video out/tour.mp4
+  gibson-sim doctor                       what works on this machine, and how to mend what does not
+"""
+
+
+def run(words: list[str]) -> int:
+    """Runs a sub-command and returns the exit code; errors are one line on stderr.
+
+    Raises:
+        SystemExit: the words are no command line; or they ask for help or the version.
+    """
+    args = _parser(words[0] if words else "").parse_args(words)
+    interruptible = Interruptible()
+    try:
+        with interruptible:
+            code = args.run(args)
+            sys.stdout.flush()
+    except AlreadyRunningError as error:
+        code = _fail(error, ExitCode.ALREADY_RUNNING)
+    except GibsonSimError as error:
+        code = ExitCode.INTERRUPTED if interruptible.was_interrupted else _fail(error, ExitCode.ERROR)
+    except BrokenPipeError:  # `gibson-sim params | head`
+        sys.stderr.close()
+        code = ExitCode.OK
+    except KeyboardInterrupt:
+        code = ExitCode.INTERRUPTED
+    except OSError as error:
+        if interruptible.was_interrupted:
+            code = ExitCode.INTERRUPTED
+        elif not is_of_the_disk(error):
+            raise
+        else:
+            _let_output_go()
+            code = _fail(cannot_write(error.filename, error), ExitCode.ERROR)
+    except Exception:
+        if not interruptible.was_interrupted:
+            raise
+        code = ExitCode.INTERRUPTED
+    return int(code)
+
+
+def _let_output_go() -> None:
+    """Drops what waits to be printed where it cannot be: it would fail once more, in a stack, when the process ends."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _fail(error: GibsonSimError, code: ExitCode) -> ExitCode:
+    print(f"gibson-sim: error: {error}", file=sys.stderr)
+    return code
+
+
+def _parser(command: str) -> argparse.ArgumentParser:
+    """Returns the parser of a sub-command, or of all where none is named."""
+    parser = Parser(
+        prog="gibson-sim",
+        description="A ROS 2 simulation server for indoor robots.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"gibson-sim {__version__}")
+    if command and command not in MODULE_OF and not command.startswith("-"):
+        parser.error(f"command {choice_error(command, MODULE_OF)}")
+    subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for module in dict.fromkeys([MODULE_OF[command]] if command in MODULE_OF else MODULE_OF.values()):
+        import_module(f"gibson_sim.cli.{module}").add_parser(subparsers)
+    return parser

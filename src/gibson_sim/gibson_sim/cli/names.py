@@ -1,0 +1,104 @@
+"""Looks up what settings name - scenes, robots, drives, rules - before anything starts. Loads neither ROS, PyBullet nor OpenGL."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from gibson_sim.cli.parser import choice_error
+from gibson_sim.errors import ConfigError, SceneError, TextError
+from gibson_sim.quoting import quoted
+from gibson_sim.resources import find_config, find_scene
+from gibson_sim.settings import Names
+
+
+def check_names(config: Any) -> None:
+    """Checks that everything exists that the settings of a node name.
+
+    Raises:
+        GibsonSimError: a setting names what is not there, or what cannot be read.
+    """
+    for f in fields(config):
+        value = getattr(config, f.name)
+        if f.metadata["names"] and value:
+            _CHECKS[f.metadata["names"]](value)
+
+
+def _check_scene(name: str) -> None:
+    """Finds a scene, and looks whether its ``scene.yaml`` is YAML: what it says takes as long to read as the scene takes to load."""
+    path = find_scene(name)
+    file = path / "scene.yaml" if path.is_dir() else path
+    if file.suffix not in (".yaml", ".yml") or not file.is_file():
+        return
+    from gibson_sim.reading import read_yaml_file
+
+    try:
+        read_yaml_file(file)
+    except TextError as error:
+        raise SceneError(f"{file}: {error}") from error
+    except OSError as error:
+        raise SceneError(f"{file}: cannot be read: {error.strerror}") from error
+
+
+def _check_robots(text: str) -> None:
+    """Loads robots as the physics node will, several as ``name=robot``; what is warned of is said there."""
+    from gibson_sim.cli.quiet import quiet
+    from gibson_sim.scenes.robot_files import load_robot
+
+    with quiet():
+        if "=" not in text:
+            load_robot(text)
+            return
+        for part in text.split(","):
+            name, _, robot = (word.strip() for word in part.partition("="))
+            if name and robot:
+                load_robot(robot, name=name)
+            else:
+                raise ConfigError(
+                    f"robot {quoted(part.strip())} must be name=robot where there are several, e.g. left=gibson_bot,right=gibson_bot"
+                )
+
+
+def _check_drive(name: str) -> None:
+    from gibson_sim.client_config import DRIVES
+    from gibson_sim.robots.path_tracking import scripted_drive
+
+    if name in DRIVES:
+        return
+    if not Path(name).exists():
+        raise ConfigError(f"drive {choice_error(name, DRIVES)}, or a file")
+    scripted_drive(name)
+
+
+def _check_rules(name: str) -> None:
+    find_config(name, "randomisation")
+
+
+def _check_views(text: str) -> None:
+    from gibson_sim.scenes.load_views import read_views
+
+    read_views(text)
+
+
+def _check_file(name: str) -> None:
+    if not Path(name).expanduser().is_file():
+        raise ConfigError(f"{name}: there is no such file")
+
+
+def _check_participants(text: str) -> None:
+    from gibson_sim.simulation.lockstep import parse_participants
+
+    parse_participants(text)
+
+
+_CHECKS: dict[Names, Callable[[str], None]] = {
+    "scene": _check_scene,
+    "robots": _check_robots,
+    "drive": _check_drive,
+    "rules": _check_rules,
+    "views": _check_views,
+    "file": _check_file,
+    "participants": _check_participants,
+}

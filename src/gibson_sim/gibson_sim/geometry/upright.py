@@ -1,0 +1,207 @@
+"""Which way is up in a mesh of an interior, of whatever it is made and however it is turned.
+
+Up is sought among the directions that flat pieces lie across, over the whole sphere. Cues weigh these: buildings are wider than high,
+free space reaches from floor to ceiling, things stand on the floor and leave the ceiling free, tables are seen from above, nothing is
+beneath the lowest floor. The weights are a logistic regression on 283 scans, models and parts of both, each cue in one of two classes:
+even ones are the same for up and down, odd ones have opposite signs. ``tests/benchmarks/upright.py`` measures what comes of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.geometry.level import level_direction
+from gibson_sim.geometry.patches import Patches
+
+F64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+CUES = ("flat", "gaps", "facing", "clutter", "bounds", "outside")
+"""Names of the columns of ``cues``. The first two say which axis is vertical, the others which end of it is up."""
+WEIGHTS = (4.6, 4.2, 2.1, 4.7, 6.2, 2.2)
+"""Logarithm of the odds that a unit of each cue is worth."""
+_DIRECTIONS = 3000
+_KERNEL_DEG, _PEAK_DEG, _APART_DEG = 5.0, 8.0, 25.0
+_FAINT = 0.03
+"""Of the strongest direction: a weaker one is none."""
+_MOST = 10
+_LEVEL = math.cos(math.radians(12.0))
+_FACES = 0.9
+_STRUCTURE = 0.03
+"""Of the whole surface: planes with more are floors, ceilings, walls; the rest is clutter."""
+_LARGE = 0.3
+"""Of the largest level plane: planes with more count as floors and ceilings."""
+_LITTLE = 0.03
+"""Of the whole surface: less clutter than this says little."""
+_GAP = 0.25
+"""Of the height: free columns that are longer count."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A direction that may be up."""
+
+    up: tuple[float, float, float]
+    """Unit vector, frame of the mesh, exactly across what is level then."""
+    area: float
+    """Part of the whole surface that is level then."""
+    cues: tuple[float, ...]
+    """As ``CUES`` names them."""
+    chance: float
+    """Against the other candidates, 0 to 1, by the cues alone."""
+
+
+def find_candidates(patches: Patches, weights: Sequence[float] = WEIGHTS) -> list[Candidate]:
+    """Returns the directions that may be up, the likeliest first; none where nothing is flat."""
+    axes = _axes(patches)
+    if not axes:
+        return []
+    structure = _structure(patches, axes)
+    found = []
+    for axis in axes:
+        even, odd = _cues(patches, axis, structure)
+        area = float(patches.weights[np.abs(patches.directions @ axis) > _LEVEL].sum() / patches.weights.sum())
+        for sign in (1.0, -1.0):
+            found.append((sign * axis, area, (*even, *(sign * cue for cue in odd))))
+    scores = np.array([cues for _, _, cues in found]) @ np.asarray(weights)
+    chances = np.exp(scores - scores.max())
+    chances /= chances.sum()
+    return [
+        Candidate((float(up[0]), float(up[1]), float(up[2])), area, tuple(float(c) for c in cues), float(chances[k]))
+        for k, (up, area, cues) in sorted(enumerate(found), key=lambda item: -chances[item[0]])
+    ]
+
+
+def _axes(patches: Patches) -> list[F64]:
+    """Returns the directions, of one half of the sphere, that many pieces lie across."""
+    normals, weights = patches.directions, patches.weights
+    if not weights.sum() > 0:
+        return []
+    half = _half_sphere(_DIRECTIONS)
+    alike = np.minimum(np.abs(half @ normals.T), 1.0)
+    density = np.exp((alike - 1.0) / (1.0 - math.cos(math.radians(_KERNEL_DEG)))) @ weights
+    least = _FAINT * float(density.max())
+    found: list[F64] = []
+    while len(found) < _MOST and density.max() > least:
+        axis = half[int(density.argmax())]
+        for _ in range(5):
+            near = np.abs(normals @ axis) > math.cos(math.radians(_PEAK_DEG))
+            if not (near & (weights > 0)).any():
+                break
+            axis = np.linalg.eigh((normals[near] * weights[near, None]).T @ normals[near])[1][:, -1]
+        density[np.abs(half @ axis) > math.cos(math.radians(_APART_DEG))] = 0.0
+        axis, _ = level_direction(patches, axis)
+        if all(abs(float(axis @ other)) < math.cos(math.radians(_PEAK_DEG)) for other in found):
+            found.append(axis)
+    return found
+
+
+def _half_sphere(count: int) -> F64:
+    """Returns unit vectors, (count, 3), spread evenly over one half of the sphere."""
+    k = np.arange(count) + 0.5
+    z = k / count
+    angle, radius = np.pi * (1.0 + math.sqrt(5.0)) * k, np.sqrt(1.0 - z * z)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+
+
+def _structure(patches: Patches, axes: Sequence[F64]) -> Bools:
+    """Returns which pieces, (P,), lie in large planes: floors, walls, ceilings."""
+    out = np.zeros(len(patches.centres), dtype=bool)
+    for axis in axes:
+        across = np.abs(patches.directions @ axis) > _LEVEL
+        heights = patches.centres @ axis
+        for height, area in _planes(heights[across], patches.weights[across], patches.size):
+            if area > _STRUCTURE * patches.weights.sum():
+                near = np.abs(heights - height) < patches.size
+                # Cubes in corners of the room hold pieces of two planes, and so none of their own.
+                out |= near & (across | (patches.weights == 0))
+    return out
+
+
+def _planes(heights: F64, weights: F64, size: float) -> list[tuple[float, float]]:
+    """Returns height and area of the planes that parallel pieces lie in, from the lowest."""
+    if not len(heights):
+        return []
+    step = 0.5 * size
+    low = float(heights.min()) - 2.0 * step
+    bins = np.floor((heights - low) / step).astype(np.int64)
+    sums = np.convolve(np.bincount(bins, weights, minlength=int(bins.max()) + 3), np.ones(3), "same")
+    tops = [k for k in range(1, len(sums) - 1) if sums[k] > 0 and sums[k] >= sums[k - 1] and sums[k] > sums[k + 1]]
+    return [(low + (k + 0.5) * step, float(sums[k])) for k in tops]
+
+
+def _cues(patches: Patches, axis: F64, structure: Bools) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Returns the cues of an axis, and those of its end; the other end has the opposite ones."""
+    level = np.abs(patches.directions @ axis) > _LEVEL
+    heights = patches.points @ axis
+    low, high = (float(h) for h in np.percentile(heights, (0.3, 99.7)))
+    height = max(high - low, patches.size)
+    sides = np.linalg.svd(axis[None])[2][1:]
+    widths = [max(float(np.ptp(np.percentile(patches.points @ side, (0.5, 99.5)))), patches.size) for side in sides]
+    planes = _planes((patches.centres @ axis)[level], patches.weights[level], patches.size)
+    largest = max((a for _, a in planes), default=0.0)
+    floors = [(z, a) for z, a in planes if a >= _LARGE * largest]
+    clutter = ~structure[patches.cube]
+    facing = patches.normals @ axis
+    above, below = (float((clutter & faces).mean()) for faces in (facing > _FACES, facing < -_FACES))
+    lower, upper = _bounds(patches, axis, sides, heights, structure & level, _GAP * height)
+    even = (math.log(math.sqrt(widths[0] * widths[1]) / height), lower + upper)
+    share = float(clutter.mean())
+    odd = (
+        (above - below) / (above + below + _LITTLE),
+        _hanging(heights[clutter], [z for z, _ in floors], low, high) * share / (share + _LITTLE),
+        upper - lower,
+        _outside(heights, floors, patches.size),
+    )
+    return even, odd
+
+
+def _bounds(patches: Patches, axis: F64, sides: F64, heights: F64, level_structure: Bools, least: float) -> tuple[float, float]:
+    """Returns the parts of all columns that are free and end in a floor or ceiling at their lower and at their upper end, 0 to 1.
+
+    What stands on a floor shortens them from below.
+    """
+    edge = 1.5 * patches.size
+    cells = np.floor(np.column_stack([patches.points @ sides.T, heights]) / edge).astype(np.int64)
+    cells -= cells.min(axis=0)
+    counts = cells.max(axis=0) + 1
+    codes = (cells[:, 0] * counts[1] + cells[:, 1]) * counts[2] + cells[:, 2]
+    full, inverse = np.unique(codes, return_inverse=True)
+    inverse = inverse.reshape(-1)
+    solid = np.bincount(inverse, level_structure[patches.cube]) / np.bincount(inverse) > 0.3
+    column, row = full // counts[2], full % counts[2]
+    free = (column[1:] == column[:-1]) & ((row[1:] - row[:-1]) * edge > least)
+    # Without a ceiling there are few such columns, beneath tables and shelves, and they say nothing.
+    every = max(int(free.sum()), len(np.unique(column)))
+    return float(solid[:-1][free].sum()) / every, float(solid[1:][free].sum()) / every
+
+
+def _hanging(heights: F64, floors: Sequence[float], low: float, high: float) -> float:
+    """Returns how much nearer clutter is to what is level beneath it than to what is above: 0.5 at the floor, -0.5 at the ceiling."""
+    if not len(heights) or high <= low:
+        return 0.0
+    levels = np.unique([low, *floors, high])
+    step = 0.1 * (high - low)
+    levels = levels[np.concatenate([[True], np.diff(levels) > step])]
+    if len(levels) < 2:
+        return 0.0
+    storey = np.clip(np.searchsorted(levels, heights) - 1, 0, len(levels) - 2)
+    part = (heights - levels[storey]) / np.diff(levels)[storey]
+    return 0.5 - float(np.clip(part, 0.0, 1.0).mean())
+
+
+def _outside(heights: F64, floors: Sequence[tuple[float, float]], size: float) -> float:
+    """Returns how much more lies above the level planes than beneath them, -1 to 1."""
+    total = sum(area for _, area in floors)
+    if not total > 0:
+        return 0.0
+    found = 0.0
+    for z, area in floors:
+        above, beneath = float((heights > z + 1.5 * size).mean()), float((heights < z - 1.5 * size).mean())
+        found += area * (above - beneath) / (above + beneath + 0.02)
+    return found / total

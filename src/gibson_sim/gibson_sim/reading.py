@@ -1,0 +1,341 @@
+"""Reads what strangers wrote: a file that must be one, and YAML and XML of a bounded size. Everything else reads through this.
+
+Whoever names a file may name a pipe, which is waited for, a device without end, or a text of 500 bytes whose aliases stand for more
+values than memory holds. All limits are checked before anything is built.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import yaml
+
+from gibson_sim.errors import TextError
+from gibson_sim.quoting import clipped, quoted
+
+MAX_TEXT_BYTES = 32 * 2**20
+"""Of a description that is read as text."""
+MAX_YAML_BYTES = 8 * 2**20
+MAX_YAML_VALUES = 150_000
+"""Of a YAML text; an alias counts as often as what it stands for."""
+MAX_DEPTH = 100
+"""Levels of lists and mappings of a YAML text."""
+MAX_XML_TAGS = 300_000
+"""Of an XML text; an element has one or two."""
+MAX_XML_DEPTH = 200
+YAML_LOADER: type = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+"""The parser of libyaml, where PyYAML was built with it, takes a tenth of the time."""
+_LONGEST_REASON = 200
+_NOTHING = ("~", "null", "Null", "NULL")
+"""How YAML writes that there is no value."""
+_MEGA = 2**20
+_CHUNK = 65536
+
+
+def read_file(path: Path, most: int = MAX_TEXT_BYTES) -> bytes:
+    """Returns the content of a regular file of at most ``most`` bytes.
+
+    Raises:
+        OSError: it is none, is too large, or cannot be read; ``strerror`` says which.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+    except ValueError as error:  # a NUL in it, or characters that no text has
+        raise OSError(errno.EINVAL, "no file can have this name") from error
+    try:
+        status = os.fstat(descriptor)
+        check_status(status, most)
+    except OSError:
+        os.close(descriptor)
+        raise
+    with open(descriptor, "rb") as file:
+        parts = [file.read(status.st_size) or b""]
+        size = len(parts[0])
+        # A file of /proc has no size beforehand, and one that another process writes may grow.
+        while more := file.read(_CHUNK):
+            parts.append(more)
+            size += len(more)
+            if size > most:
+                raise OSError(errno.EFBIG, _too_large("more", most))
+    return parts[0] if len(parts) == 1 else b"".join(parts)
+
+
+def is_file(path: Path) -> bool:
+    """Returns whether a regular file is there that this process may see; False for what can be no path (a NUL in it, too long)."""
+    try:
+        return stat.S_ISREG(os.stat(path).st_mode)
+    except (OSError, ValueError):
+        return False
+
+
+def is_folder(path: Path) -> bool:
+    """Returns whether a folder is there that this process may see; False for what can be no path."""
+    try:
+        return stat.S_ISDIR(os.stat(path).st_mode)
+    except (OSError, ValueError):
+        return False
+
+
+def exists(path: Path) -> bool:
+    """Returns whether something is there that this process may see; False for what can be no path."""
+    try:
+        os.stat(path)
+    except (OSError, ValueError):
+        return False
+    return True
+
+
+def check_status(status: os.stat_result, most: int) -> None:
+    """Checks what ``stat`` says of a file that is to be read.
+
+    Raises:
+        OSError: it is no regular file, or has more than ``most`` bytes.
+    """
+    if not stat.S_ISREG(status.st_mode):
+        raise OSError(errno.EINVAL, "is no regular file")
+    if status.st_size > most:
+        raise OSError(errno.EFBIG, _too_large(f"{status.st_size / _MEGA:.0f} MB", most))
+
+
+def read_yaml_file(path: Path, most: int = MAX_YAML_BYTES) -> Any:
+    """Returns what a YAML file holds, as Python's plain types.
+
+    Raises:
+        OSError: as ``read_file``.
+        TextError: as ``parse_yaml``.
+    """
+    return parse_yaml(read_file(path, most))
+
+
+def parse_yaml(text: str | bytes, loader: type = YAML_LOADER) -> Any:
+    """Returns what a YAML text holds, as Python's plain types.
+
+    Args:
+        text: the YAML, one document.
+        loader: a loader of PyYAML that knows more tags.
+
+    Raises:
+        TextError: it is none, or holds too much; without the name of the file, which the caller knows.
+    """
+    if len(text) > MAX_YAML_BYTES:
+        reason = f"has {len(text) / _MEGA:.0f} MB of YAML, must have at most {MAX_YAML_BYTES // _MEGA} MB"
+        raise TextError(reason).telling(reason)
+    try:
+        parser = loader(text)
+    except (yaml.YAMLError, ValueError) as error:
+        raise _no_yaml(error) from error
+    try:
+        node = _Composer(parser).document()
+        return None if node is None else parser.construct_document(node)
+    # A date with a month 13, a number of 5000 digits, bytes that are no text.
+    except (yaml.YAMLError, ValueError, OverflowError, TypeError, LookupError, AttributeError, RecursionError) as error:
+        raise _no_yaml(error) from error
+    finally:
+        parser.dispose()
+
+
+def yaml_texts(text: bytes, keys: Collection[str]) -> dict[str, str]:
+    """Returns the texts and numbers, as written, that stand in the outermost mapping under some keys; nothing else of it is built.
+
+    It reads no further than to the last of the keys, and what follows may be wrong.
+
+    Raises:
+        TextError: it is no YAML as far as it was read.
+    """
+    found: dict[str, str] = {}
+    try:
+        parser = YAML_LOADER(text)
+    except (yaml.YAMLError, ValueError) as error:
+        raise _no_yaml(error) from error
+    depth, count, key = 0, 0, ""
+    """Lists and mappings that are open; keys and values of the outermost mapping so far, and its newest key."""
+    try:
+        while len(found) < len(keys):
+            event = parser.get_event()
+            if event is None or isinstance(event, yaml.StreamEndEvent):
+                break
+            if isinstance(event, yaml.CollectionEndEvent):
+                depth -= 1
+                count += depth == 1
+                continue
+            if depth == 0 and isinstance(event, yaml.NodeEvent) and not isinstance(event, yaml.MappingStartEvent):
+                break
+            if isinstance(event, yaml.CollectionStartEvent):
+                key = "" if depth == 1 and count % 2 == 0 else key
+                depth += 1
+            elif depth == 1 and isinstance(event, yaml.NodeEvent):
+                scalar = event if isinstance(event, yaml.ScalarEvent) else None
+                value = "" if scalar is None else scalar.value
+                if count % 2 == 0:
+                    key = value
+                elif scalar is not None and key in keys and value and not (scalar.implicit[0] and value in _NOTHING):
+                    found[key] = value
+                count += 1
+        return found
+    except (yaml.YAMLError, ValueError) as error:
+        raise _no_yaml(error) from error
+    finally:
+        parser.dispose()
+
+
+def parse_xml(text: bytes) -> ElementTree.Element:
+    """Returns the outermost element of an XML text.
+
+    Raises:
+        TextError: it is none, or holds too much; without the name of the file, which the caller knows.
+    """
+    if len(text) > MAX_TEXT_BYTES:
+        reason = f"has {len(text) / _MEGA:.0f} MB of XML, must have at most {MAX_TEXT_BYTES // _MEGA} MB"
+        raise TextError(reason).telling(reason)
+    tags = text.count(b"<")
+    if tags > MAX_XML_TAGS:
+        reason = f"has about {tags} tags of XML, must have at most {MAX_XML_TAGS}; split it"
+        raise TextError(reason).telling(reason)
+    if b"<!ENTITY" in (text.replace(b"\0", b"") if b"\0" in text[:4] else text):
+        reason = "defines XML entities, which are not read; write out what they stand for"
+        raise TextError(reason).telling(reason)
+    try:
+        top = ElementTree.fromstring(text)
+    # A text that says it is UTF-16 is no such thing.
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise TextError(f"is no well-formed XML: {clipped(str(error), _LONGEST_REASON)}").telling(
+            "is no well-formed XML"
+        ) from error
+    level, depth = [top], 0
+    while level:
+        depth += 1
+        if depth > MAX_XML_DEPTH:
+            reason = f"has elements within elements over more than {MAX_XML_DEPTH} levels"
+            raise TextError(reason).telling(reason)
+        level = [child for element in level for child in element]
+    return top
+
+
+def _too_large(size: str, most: int) -> str:
+    return f"is too large: it has {size}, must have at most {most / _MEGA:g} MB"
+
+
+def _no_yaml(error: Exception) -> TextError:
+    mark = getattr(error, "problem_mark", None)
+    at = f"line {mark.line + 1}, column {mark.column + 1}: " if mark is not None else ""
+    reason = clipped(str(getattr(error, "problem", None) or error), _LONGEST_REASON)
+    if isinstance(error, _TooMuchError):
+        return TextError(f"{at}{reason}").telling(reason)
+    return TextError(f"is not YAML: {at}{reason}").telling("is not YAML that can be read")
+
+
+class _Open:
+    """A list or a mapping while its values are read."""
+
+    def __init__(self, node: Any, anchor: str | None) -> None:
+        self.node, self.anchor, self.size, self.height = node, anchor, 1, 1
+        self.key: Any = None
+        self.keys: set[tuple[str, str]] = set()
+
+
+class _Composer:
+    """Makes the nodes of a document from its events, as PyYAML's composer does, but without recursion and within limits.
+
+    libyaml's own composer recurses in C: a text of 200 KB of ``[`` ends the process.
+    """
+
+    def __init__(self, parser: Any) -> None:
+        self._parser = parser
+        self._anchors: dict[str, tuple[Any, int, int]] = {}
+        """Node, number of values in it, levels of it."""
+        self._open: list[_Open] = []
+
+    def document(self) -> Any:
+        """Returns the node of the only document, None where there is none."""
+        parser = self._parser
+        root: Any = None
+        documents = 0
+        while True:
+            event = parser.get_event()
+            if event is None or isinstance(event, yaml.StreamEndEvent):
+                return root
+            start = event.start_mark
+            if isinstance(event, yaml.DocumentStartEvent):
+                documents += 1
+                if documents > 1:
+                    raise yaml.MarkedYAMLError(problem="there is a second document", problem_mark=start)
+                self._anchors.clear()
+            done = self._take(event)
+            if done is not None and not self._open:
+                root = done
+
+    def _take(self, event: Any) -> Any:
+        """Returns the node that an event ends, if it ends one, which has been put where it belongs."""
+        start, end = event.start_mark, event.end_mark
+        anchor: Any = getattr(event, "anchor", None)
+        if isinstance(event, yaml.AliasEvent):
+            known = self._anchors.get(anchor)
+            if known is None:
+                within = any(entry.anchor == anchor for entry in self._open)
+                reason = "holds itself" if within else "is not defined before"
+                raise yaml.MarkedYAMLError(problem=f"alias {quoted(anchor)} {reason}", problem_mark=start)
+            return self._put(*known, event)
+        if isinstance(event, yaml.ScalarEvent):
+            node: Any = yaml.ScalarNode(self._tag(yaml.ScalarNode, event, event.value), event.value, start, end)
+            if anchor is not None:
+                self._anchors[anchor] = (node, 1, 0)
+            return self._put(node, 1, 0, event)
+        if isinstance(event, yaml.CollectionStartEvent):
+            kind = yaml.SequenceNode if isinstance(event, yaml.SequenceStartEvent) else yaml.MappingNode
+            node = kind(self._tag(kind, event, None), [], start, None, flow_style=event.flow_style)
+            self._open.append(_Open(node, anchor))
+            if len(self._open) > MAX_DEPTH:
+                raise _too_deep(event)
+            return None
+        if isinstance(event, yaml.CollectionEndEvent):
+            entry = self._open.pop()
+            entry.node.end_mark = end
+            if entry.anchor is not None:
+                self._anchors[entry.anchor] = (entry.node, entry.size, entry.height)
+            return self._put(entry.node, entry.size, entry.height, event)
+        return None
+
+    def _tag(self, kind: type, event: Any, value: str | None) -> Any:
+        return self._parser.resolve(kind, value, event.implicit) if event.tag is None or event.tag == "!" else event.tag
+
+    def _put(self, node: Any, size: int, height: int, event: Any) -> Any:
+        """Puts a node into the list or mapping that is open."""
+        if not self._open:
+            return node
+        above = self._open[-1]
+        above.size += size
+        above.height = max(above.height, height + 1)
+        if above.size > MAX_YAML_VALUES:
+            raise _TooMuchError(
+                f"holds more than {MAX_YAML_VALUES} values, each alias counted as what it stands for", event.start_mark
+            )
+        if len(self._open) + height > MAX_DEPTH:
+            raise _too_deep(event)
+        if isinstance(above.node, yaml.SequenceNode):
+            above.node.value.append(node)
+        elif above.key is None:
+            above.key = node
+            if isinstance(node, yaml.ScalarNode):
+                if (node.tag, node.value) in above.keys:
+                    problem = f"key {quoted(node.value)} is there twice"
+                    raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
+                above.keys.add((node.tag, node.value))
+        else:
+            above.node.value.append((above.key, node))
+            above.key = None
+        return node
+
+
+class _TooMuchError(yaml.MarkedYAMLError):
+    def __init__(self, problem: str, mark: Any) -> None:
+        super().__init__(problem=problem, problem_mark=mark)
+
+
+def _too_deep(event: Any) -> _TooMuchError:
+    return _TooMuchError(f"has lists and mappings within each other over more than {MAX_DEPTH} levels", event.start_mark)

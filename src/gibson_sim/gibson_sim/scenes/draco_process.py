@@ -1,0 +1,50 @@
+"""Decodes Draco meshes in a process of its own, whose memory and time are limited: a few bytes may ask for gigabytes, or end the decoder.
+
+Standard input: for each mesh its length, 8 bytes little-endian, and its bytes. Standard output: an archive of NumPy with, for mesh i,
+``i_faces`` (F, 3) and ``i_<id>`` (V, C) for each attribute by its unique id. Whatever is wrong is said in one line on standard error.
+"""
+
+from __future__ import annotations
+
+import io
+import resource
+import sys
+
+import numpy as np
+
+MEMORY_BYTES = 4 * 2**30
+"""Address space of the process."""
+SECONDS = 60
+"""Time of the CPU."""
+
+
+def main() -> int:
+    """Decodes what comes in; returns the exit code."""
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    import DracoPy
+
+    data, at, arrays = sys.stdin.buffer.read(), 0, {}
+    number = 0
+    while at < len(data):
+        length = int.from_bytes(data[at : at + 8], "little")
+        try:
+            mesh = DracoPy.decode(data[at + 8 : at + 8 + length])
+        # Whatever a decoder in C++ throws.
+        except Exception as error:
+            sys.stderr.write(f"{type(error).__name__}: {' '.join(str(error).split())[:200]}\n")
+            return 1
+        faces = getattr(mesh, "faces", None)
+        arrays[f"{number}_faces"] = np.zeros((0, 3), np.uint32) if faces is None else np.asarray(faces)
+        arrays |= {f"{number}_{item['unique_id']}": np.asarray(item["data"]) for item in mesh.attributes}
+        at += 8 + length
+        number += 1
+    draft = io.BytesIO()
+    np.savez(draft, **arrays)  # type: ignore[arg-type]
+    sys.stdout.buffer.write(draft.getvalue())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

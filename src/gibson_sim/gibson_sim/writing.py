@@ -1,0 +1,172 @@
+"""Writes files whole or not at all. Every file that somebody asked for is written through this.
+
+What is written goes into a draft beside the file, and takes its name once it is complete: who looks meanwhile, and who looks after a
+disk ran full, finds the old file or the new one. Bags alone are written in place: they are of use before they are complete.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from uuid import uuid4
+
+from gibson_sim.errors import WriteError
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""Errors that say that nothing more fits."""
+_OF_THE_DISK = (*FULL, errno.EROFS, errno.EIO)
+_UNITS = ("bytes", "KB", "MB", "GB", "TB")
+
+
+def write_file(path: str | Path, content: bytes | str, *, durable: bool = True) -> None:
+    """Writes a file; its folder is made where it is missing.
+
+    Args:
+        path: of the file, which is replaced; a device or a pipe is written into.
+        content: bytes, or text, which is written as UTF-8.
+        durable: wait until the disk has it, which a file of thousands need not.
+
+    Raises:
+        WriteError: it cannot be written; what was there before still is, and nothing else.
+    """
+    data = content.encode("utf-8") if isinstance(content, str) else content
+    with replacing(path, durable=durable, needs=len(data)) as draft, draft.open("wb", buffering=0) as file:
+        _write_all(file.fileno(), data)
+
+
+@contextmanager
+def replacing(path: str | Path, *, durable: bool = True, needs: int = 0) -> Iterator[Path]:
+    """Yields a draft to be written, whose name ends as the file's does; it takes the place of the file once the block ends well.
+
+    Args:
+        path: of the file; its folder is made where it is missing. A device or a pipe is its own draft.
+        durable: wait until the disk has it.
+        needs: bytes that will be written, where that is known; for the message.
+
+    Raises:
+        WriteError: it cannot be written, or an OSError left the block; the draft is gone.
+    """
+    target = Path(path)
+    draft: Path | None = None
+    try:
+        if _is_special(target):
+            yield target
+            return
+        target = Path(os.path.realpath(target))  # a link stays one
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+        except FileExistsError as error:
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR)) from error
+        mode = _mode_of(target)
+        draft = target.with_name(f".{uuid4().hex[:12]}.part{target.suffix}")
+        draft.touch(exist_ok=False)
+        yield draft
+        if mode is not None:
+            draft.chmod(mode)
+        if durable:
+            _sync(draft)
+        draft.replace(target)
+        draft = None
+    except (OSError, ValueError) as error:
+        if isinstance(error, ValueError) and "\0" not in str(path):
+            raise
+        raise cannot_write(path, error, max(needs, _size(draft)), _size(draft)) from error
+    finally:
+        if draft is not None:
+            draft.unlink(missing_ok=True)
+
+
+def cannot_write(path: str | Path | None, error: OSError | ValueError, needs: int = 0, spare: int = 0) -> WriteError:
+    """Returns the error that says that a file cannot be written; where the disk is full, with what it needs and what there is.
+
+    Args:
+        path: of the file; None = not known, such as standard output.
+        error: what the system says.
+        needs: bytes, at least; 0 = not known.
+        spare: bytes of the draft, which will be free again.
+    """
+    what = f"cannot write {'the output' if path is None else path}"
+    reason = (error.strerror if isinstance(error, OSError) else None) or str(error) or type(error).__name__
+    if not (isinstance(error, OSError) and error.errno in FULL):
+        return WriteError(f"{what}: {reason}").telling("a file cannot be written")
+    known = [f"needs {size_text(needs)} or more"] if needs else []
+    free = None if path is None or error.errno == errno.EFBIG else _free(Path(path))
+    if free is not None:
+        known.append(f"free {size_text(free + spare)}")
+    numbers = f" ({', '.join(known)})" if known else ""
+    return WriteError(f"{what}: {reason}{numbers}; make room, or give another place").telling("the disk is full")
+
+
+def is_of_the_disk(error: OSError) -> bool:
+    """Returns whether an error is about a disk that is full, read-only or broken, wherever it came up."""
+    return error.errno in _OF_THE_DISK
+
+
+def size_text(size: int) -> str:
+    """Returns a number of bytes in the unit that suits it, such as 12.3 MB."""
+    value, unit = float(size), 0
+    while value >= 1000.0 and unit < len(_UNITS) - 1:
+        value, unit = value / 1000.0, unit + 1
+    return f"{value:.1f} {_UNITS[unit]}" if unit else f"{size} bytes"
+
+
+def _write_all(descriptor: int, data: bytes) -> None:
+    view = memoryview(data)
+    while view:
+        view = view[os.write(descriptor, view) :]
+
+
+def _is_special(path: Path) -> bool:
+    """Returns whether something is there that has no contents to replace, such as /dev/stdout."""
+    try:
+        mode = path.stat().st_mode
+    except OSError:
+        return False
+    return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+
+
+def _mode_of(path: Path) -> int | None:
+    """Returns the permissions of the file that is to be replaced, None where there is none.
+
+    Raises:
+        OSError: it may not be written, or is a folder.
+    """
+    try:
+        mode = path.stat().st_mode
+    except FileNotFoundError:
+        return None
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if not os.access(path, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    return stat.S_IMODE(mode)
+
+
+def _sync(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _size(path: Path | None) -> int:
+    try:
+        return path.stat().st_size if path is not None else 0
+    except OSError:
+        return 0
+
+
+def _free(path: Path) -> int | None:
+    """Returns how many bytes the disk of a path has left, None where that cannot be said."""
+    for place in path.absolute().parents:
+        try:
+            return shutil.disk_usage(place).free
+        except OSError:
+            continue
+    return None

@@ -1,0 +1,34 @@
+"""Scans of our scenes, with noise and holes and without textures, turned by random rotations: upright, or "not sure", never wrong.
+
+``GIBSON_SIM_ROTATIONS=50`` takes so many rotations of each; ``tests/benchmarks/upright.py`` takes other scenes, scans and models.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+
+import pytest
+
+from gibson_sim.scanning.capture import ScanSettings, scan
+from gibson_sim.scanning.layouts import open_posed_rgbd
+from gibson_sim.scanning.settings import PRESETS, Defects, ScanCamera, TourSettings
+from gibson_sim.scenes.load import load_scene
+from support.turning import depth_mesh, random_rotation, verdict
+
+ROTATIONS = int(os.environ.get("GIBSON_SIM_ROTATIONS", "8"))
+KINECT = {**PRESETS["kinect"], "frames": 24, "width": 160, "height": 120, "coverage": 0.6, "seed": 1}
+PARTS = [
+    {name: value for name, value in KINECT.items() if name in part.__dataclass_fields__}
+    for part in (TourSettings, ScanCamera, Defects)
+]
+
+
+@pytest.mark.parametrize("name", ["flat"])
+def test_a_scan_turned_anyhow_is_levelled_upright_or_said_to_be_unclear(name: str, tmp_path) -> None:
+    settings = ScanSettings(TourSettings(**PARTS[0]), ScanCamera(**PARTS[1]), Defects(**PARTS[2]))
+    scan(load_scene(name), tmp_path, settings)
+    vertices, triangles = depth_mesh(open_posed_rgbd(tmp_path), every=2)
+    found = Counter(verdict(vertices, triangles, random_rotation(seed)) for seed in range(ROTATIONS))
+    assert not found["wrong"], found
+    assert found["upright"] >= 0.6 * ROTATIONS, found

@@ -1,0 +1,116 @@
+"""In which order the nodes of a job start, and what is said where one refuses; the nodes are played."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pytest
+
+from gibson_sim.cli import job as job_module, run
+from gibson_sim.cli.job import Job, JobRun
+from gibson_sim.simulation.job_folder import LOADED
+
+
+class Played:
+    """A node that ends at once with a code, or leaves the note that it has loaded."""
+
+    started: tuple[str, ...] = ()
+    stopped: tuple[str, ...] = ()
+    codes: ClassVar[dict[str, int]] = {}
+    cameras = ""
+    folder = Path()
+
+    def __init__(self, name: str, *_: Any, silent: bool = False, **__: Any) -> None:
+        Played.started += (name,)
+        self.name, self.silent = name, silent
+        if name == "physics" and name not in self.codes:
+            (self.folder / LOADED).write_text(self.cameras)
+
+    def poll(self) -> int | None:
+        return self.codes.get(self.name)
+
+    def speak(self) -> None:
+        self.silent = False
+
+    def reason(self) -> str:
+        return f"{self.name} refuses"
+
+    def say_error(self) -> None:
+        pass
+
+    def stop(self, **_: Any) -> int:
+        Played.stopped += (self.name,)
+        return 0
+
+
+def _run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *options: str, cameras: str = "camera", **codes: int) -> int:
+    parser = argparse.ArgumentParser()
+    run.add_parser(parser.add_subparsers())
+    args = parser.parse_args(["run", "--scene", "flat", "--record", str(tmp_path / "bag"), "--reserve-mb", "1", *options])
+    job: Job = run._plan(args, tmp_path)
+    Played.started, Played.stopped, Played.codes, Played.cameras, Played.folder = (), (), codes, cameras, tmp_path
+    monkeypatch.setattr(job_module, "NodeProcess", Played)
+    return JobRun(job, {}).run()
+
+
+def test_scene_that_is_refused_starts_no_recording_and_says_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _run(tmp_path, monkeypatch, physics=1) == 1
+    assert Played.started == ("physics", "render")
+    assert capsys.readouterr().err == "error: physics refuses\n"
+
+
+def test_device_that_is_refused_starts_no_recording_and_says_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(JobRun, "_accept", lambda *_: True)  # the device is looked for while the scene is read
+    assert _run(tmp_path, monkeypatch, render=1) == 1
+    assert Played.started == ("physics", "render")
+    assert capsys.readouterr().err == "error: render refuses\n"
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--cameras", "camra"), "setting 'cameras' has camera 'camra'; did you mean 'camera'? the scene has: camera, view_top"),
+        (("--register-depth", "depth=camera"), "setting 'register_depth' has camera 'depth'; the scene has: camera, view_top"),
+    ],
+)
+def test_camera_that_is_not_there_is_an_error_that_names_what_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], options: tuple[str, ...], said: str
+) -> None:
+    assert _run(tmp_path, monkeypatch, *options, cameras="camera\nview_top") == 1
+    assert "record" not in Played.started
+    assert capsys.readouterr().err == f"error: {said}\n"
+
+
+def test_recording_starts_once_the_scene_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert _run(tmp_path, monkeypatch, record=1) == 1
+    assert Played.started == ("physics", "render", "record")
+
+
+def test_time_ends_before_the_recorder_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert _run(tmp_path, monkeypatch, "--drive", "square", drive=0) == 0
+    assert Played.stopped == ("physics", "record", "render")
+
+
+def test_full_disk_is_refused_before_anything_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gibson_sim.bags.room.shutil.disk_usage", lambda _: argparse.Namespace(free=10 * 2**20))
+    with pytest.raises(Exception, match="has 10 MiB left, recording needs more than 132 MiB"):
+        _run(tmp_path, monkeypatch, "--reserve-mb", "130")
+
+
+def test_summary_that_cannot_be_written_keeps_nothing_else_from_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made: list[Path] = []
+    monkeypatch.setattr("gibson_sim.cli.pictures.write_pictures", lambda bag, video: made.append(video) or [video])
+    (tmp_path / "record.json").write_text('{"messages": {"/a": 1}, "lost": {}, "error": ""}')
+    (tmp_path / "file").touch()
+    files = ("--summary", str(tmp_path / "file/a.json"), "--video", str(tmp_path / "a.mp4"))
+    assert _run(tmp_path, monkeypatch, "--drive", "square", *files, drive=0) == 1
+    assert made == [tmp_path / "a.mp4"]
+    assert "error: cannot write" in capsys.readouterr().err

@@ -1,0 +1,31 @@
+"""The job that the options of ``gibson-sim run`` ask for."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from gibson_sim.cli import run
+from gibson_sim.cli.job import Job
+from gibson_sim.errors import ConfigError
+
+
+def plan(folder: Path, *argv: str) -> Job:
+    """Returns the job of a command line."""
+    parser = argparse.ArgumentParser()
+    run.add_parser(parser.add_subparsers())
+    return run._plan(parser.parse_args(["run", "--scene", "flat", *argv]), folder)
+
+
+@pytest.mark.parametrize(("cmd_vel_type", "stamped"), [("both", False), ("twist", False), ("stamped", True)])
+def test_drive_sends_a_type_that_is_received(cmd_vel_type: str, stamped: bool, tmp_path: Path) -> None:
+    job = plan(tmp_path, "--drive", "square", "--cmd-vel-type", cmd_vel_type)
+    assert job.configs["drive"].stamped is stamped
+    assert job.configs["physics"].cmd_vel_type == cmd_vel_type
+
+
+def test_drive_that_would_not_be_received_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="--stamped sends TwistStamped, which --cmd-vel-type twist does not receive"):
+        plan(tmp_path, "--drive", "square", "--stamped", "--cmd-vel-type", "twist")

@@ -1,0 +1,98 @@
+"""What an import cannot use: it stays visible as itself, and is not forgotten."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from gibson_sim.importing.check import Report, check_path
+from gibson_sim.importing.fix import Fix, fix_scene
+from gibson_sim.importing.left_out import LEFT_OUT
+from gibson_sim.importing.run import import_scene
+from gibson_sim.scenes.load import load_scene
+from support.interiors import room, write_obj
+
+TABLE = "<collision name='c'><geometry><box><size>1 2 0.8</size></box></geometry></collision>"
+LOST = "<visual name='v'><geometry><mesh><uri>model://table/meshes/gone.dae</uri></mesh></geometry></visual>"
+ROOM = "<visual name='v'><geometry><mesh><uri>model://room/meshes/room.obj</uri></mesh></geometry></visual>"
+
+
+def world(folder: Path, **models: str) -> Path:
+    (folder / "models" / "room" / "meshes").mkdir(parents=True)
+    write_obj(folder / "models" / "room" / "meshes" / "room.obj", *room())
+    text = "".join(
+        f"<model name='{name}'><pose>1 1 0.4 0 0 0</pose><static>true</static><link name='l'>{inner}</link></model>"
+        for name, inner in models.items()
+    )
+    (folder / "models" / "w.world").write_text(f"<sdf version='1.6'><world name='w'>{text}</world></sdf>")
+    return folder / "models" / "w.world"
+
+
+def texts(report: Report, what: str) -> list[str]:
+    return [finding.text for finding in report.findings if finding.what == what]
+
+
+def test_a_model_without_its_mesh_is_drawn_as_its_collision_under_its_own_name(tmp_path: Path) -> None:
+    scene = load_scene(world(tmp_path, room=ROOM, table=LOST + TABLE))
+    (table,) = (visual for visual in scene.visuals if visual.name == "table")
+    (solid,) = (collision for collision in scene.collisions if collision.name == "table")
+    assert (table.shape, table.pose) == (solid.shape, solid.pose)
+    assert table.color == (0.7, 0.7, 0.7, 1.0)
+    assert any("table: is drawn as its collision shapes" in warning for warning in scene.warnings)
+
+
+def test_what_is_not_drawn_is_named_and_stays_a_thing_of_its_own(tmp_path: Path) -> None:
+    path = world(tmp_path, room=ROOM, room_guard=TABLE)
+    assert any("room_guard: is solid but invisible" in warning for warning in load_scene(path).warnings)
+    imported = import_scene(path, tmp_path / "out")
+    assert [visual.name for visual in imported.scene.visuals] == ["room"]
+    assert [collision.name for collision in imported.scene.collisions] == ["room", "room_guard"]
+    fixed, _ = fix_scene(check_path(tmp_path / "out"), tmp_path / "fixed", Fix())
+    assert [collision.name for collision in load_scene(fixed).collisions] == ["room", "room_guard"]
+
+
+def test_a_visual_that_is_meant_to_be_transparent_is_not_drawn(tmp_path: Path) -> None:
+    glass = "<visual name='v'><transparency>1</transparency><geometry><box><size>1 1 1</size></box></geometry></visual>"
+    scene = load_scene(world(tmp_path, room=ROOM, glass=glass + TABLE))
+    assert [visual.name for visual in scene.visuals] == ["room"]
+    assert not scene.warnings
+
+
+def test_check_repeats_what_the_import_left_out_and_fix_keeps_it(tmp_path: Path) -> None:
+    imported = import_scene(world(tmp_path, room=ROOM, lost=LOST), tmp_path / "out")
+    assert any("gone.dae" in warning for warning in imported.warnings)
+    report = check_path(tmp_path / "out")
+    (missing,) = texts(report, "missing")
+    assert "gone.dae is not there" in missing
+    assert not report.clean
+    _, again = fix_scene(report, tmp_path / "fixed", Fix())
+    assert texts(again, "missing") == [missing]
+
+
+def test_missing_textures_are_not_forgotten_by_a_mended_copy(tmp_path: Path) -> None:
+    path = world(tmp_path, room=ROOM)
+    obj = tmp_path / "models" / "room" / "meshes" / "room.obj"
+    obj.with_name("room.mtl").write_text("newmtl wall\nmap_Kd wall.png\n")
+    obj.write_text("mtllib room.mtl\nusemtl wall\n" + obj.read_text())
+    import_scene(path, tmp_path / "out")
+    report = check_path(tmp_path / "out")
+    # Once, although both the import and the file itself tell of it.
+    (texture,) = texts(report, "missing-texture")
+    _, again = fix_scene(report, tmp_path / "fixed", Fix())
+    assert [text.split("assets/")[-1] for text in texts(again, "missing-texture")] == [texture.split("assets/")[-1]]
+    assert not again.clean
+
+
+def test_a_clean_scene_has_no_such_file(tmp_path: Path) -> None:
+    import_scene(world(tmp_path, room=ROOM), tmp_path / "out")
+    assert not (tmp_path / "out" / LEFT_OUT).exists()
+
+
+@pytest.mark.parametrize("text", ["[{kind: wrong, text: a}]", "{a: [}", "[{kind: other, text: 5}]", "3"])
+def test_a_broken_note_is_one_line(tmp_path: Path, text: str) -> None:
+    import_scene(world(tmp_path, room=ROOM), tmp_path / "out")
+    (tmp_path / "out" / LEFT_OUT).write_text(text)
+    (finding,) = check_path(tmp_path / "out").findings
+    assert finding.what == "unreadable"
+    assert LEFT_OUT in finding.text and "\n" not in finding.text

@@ -1,0 +1,242 @@
+"""Up is found however a scene is turned, or said to be unclear; what is upright stays; nothing is mended for the worse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gibson_sim.cli.main import main
+from gibson_sim.errors import ConfigError, SceneError
+from gibson_sim.importing.check import Finding, Report, check_path
+from gibson_sim.importing.fix import Fix, fix_scene, made_worse
+from gibson_sim.importing.gravity import direction, direction_text, guess_up, level_near
+from gibson_sim.importing.run import Choices, import_scene
+from support.interiors import box_faces, room, triangles, turned, write_obj
+from support.plys import ply
+from support.scans import noisy_room
+from support.turning import random_rotation, verdict
+
+NOISY = noisy_room(edge=0.1)
+
+
+def _run(*words: object) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(["scene", *map(str, words)])
+    return int(ended.value.code or 0)
+
+
+def _soup(vertices: np.ndarray, faces: np.ndarray, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Returns a speck at the middle of each triangle, 1 cm wide, that faces anywhere."""
+    rng = np.random.default_rng(seed)
+    middles = vertices[faces].mean(axis=1)
+    specks = middles[:, None] + 0.01 * rng.standard_normal((len(faces), 3, 3))
+    return specks.reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3)
+
+
+def _levels(*heights: float) -> tuple[np.ndarray, np.ndarray]:
+    """Returns a room of 6 x 4 m whose floor rises in stages from side to side."""
+    corners, quads = room(furniture=False)
+    quads = quads[1:]
+    width = 6.0 / len(heights)
+    for k, height in enumerate(heights):
+        low, high = (-3.0 + k * width, -2.0, height - 0.2), (-3.0 + (k + 1) * width, 2.0, height)
+        more, sides = box_faces(low, high)
+        quads = np.concatenate([quads, sides + len(corners)])
+        corners = np.concatenate([corners, more])
+    return corners, quads
+
+
+# Which way is up
+
+
+def test_a_furnished_room_is_turned_upright_from_any_side_or_said_to_be_unclear() -> None:
+    found = [verdict(*NOISY, random_rotation(seed), 0.3) for seed in range(12)]
+    assert "wrong" not in found and found.count("upright") >= 9, found
+
+
+def test_a_room_37_degrees_off_every_axis_is_not_laid_on_a_wall() -> None:
+    up = np.array([1.0, 1.0, 1.0]) / np.sqrt(3.0)  # 54.7 degrees off each axis, the farthest there is
+    x = np.array([1.0, -1.0, 0.0]) / np.sqrt(2.0)
+    rotation = np.stack([x, np.cross(up, x), up], axis=1)
+    guess = guess_up(NOISY[0] @ rotation.T, NOISY[1])
+    assert guess.sure
+    np.testing.assert_allclose(guess.up, up, atol=0.005)
+
+
+@pytest.mark.parametrize("shape", ["cube", "empty room"])
+def test_of_an_empty_room_nothing_is_sure_unless_it_is_upright_already(shape: str) -> None:
+    corners, quads = box_faces((0, 0, 0), (3, 3, 3), inward=True) if shape == "cube" else room(furniture=False)
+    for seed in range(4):
+        assert not guess_up(corners @ random_rotation(seed).T, triangles(quads)).sure
+    kept = guess_up(corners, triangles(quads))
+    assert kept.sure and kept.tilt_deg < 0.01
+
+
+def test_what_is_not_clear_names_the_directions_to_choose_from() -> None:
+    corners, quads = room(furniture=False)
+    rotation = random_rotation(3)
+    guess = guess_up(corners @ rotation.T, triangles(quads))
+    assert 2 <= len(guess.others) <= 3 and guess.up == (0.0, 0.0, 1.0)
+    assert max(abs(float(np.asarray(up) @ rotation[:, 2])) for up in guess.others) > 0.999
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_specks_that_face_anywhere_are_no_worse_than_not_sure(seed: int) -> None:
+    assert verdict(*_soup(*NOISY), random_rotation(seed)) != "wrong"
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_floor_with_holes_is_no_worse_than_not_sure(seed: int) -> None:
+    vertices, faces = NOISY
+    middle = vertices[faces].mean(axis=1)
+    lost = (middle[:, 2] < 0.1) & (np.sin(2.5 * middle[:, 0]) + np.sin(3.1 * middle[:, 1]) > -0.2)
+    assert verdict(vertices, faces[~lost], random_rotation(seed)) != "wrong"
+    assert verdict(vertices, faces[~lost], np.eye(3)) == "upright"
+
+
+def test_a_mesh_without_area_or_without_anything_flat_stays_as_it_is() -> None:
+    rng = np.random.default_rng(0)
+    assert guess_up(np.zeros((3, 3)), np.array([[0, 1, 2]])).tilt_deg == 0.0
+    assert guess_up(np.zeros((0, 3)), np.zeros((0, 3), dtype=int)).sure
+    cloud = rng.normal(size=(3000, 3))
+    guess = guess_up(cloud, np.arange(3000).reshape(-1, 3))
+    assert guess.up == (0.0, 0.0, 1.0)
+
+
+# Out of level
+
+
+def test_floors_at_three_heights_are_level_each_for_itself() -> None:
+    corners, quads = _levels(0.0, 0.09, 0.18)
+    assert guess_up(corners, triangles(quads)).tilt_deg < 0.02
+    assert guess_up(turned(corners, 1, 1.0), triangles(quads)).tilt_deg == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_level_room_with_floors_at_three_heights_is_mended_level(tmp_path: Path) -> None:
+    corners, quads = _levels(0.0, 0.09, 0.18)
+    quads[2] = quads[2][::-1]  # something to mend
+    folder = tmp_path / "a"
+    folder.mkdir()
+    write_obj(folder / "room.obj", corners, quads)
+    (folder / "scene.yaml").write_text("name: stages\nobjects: [{name: room, mesh: room.obj}]\n")
+    _, mended = fix_scene(check_path(folder), tmp_path / "b", Fix())
+    assert mended.facts is not None and mended.facts.tilt_deg < 0.02
+    assert not {"no-room", "no-floor", "not-level"} & {f.what for f in mended.findings}
+
+
+def test_what_would_check_worse_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    corners, quads = room()
+    folder = tmp_path / "a"
+    folder.mkdir()
+    write_obj(folder / "room.obj", turned(corners, 0, 5.0), quads)
+    (folder / "scene.yaml").write_text("name: bent\nobjects: [{name: room, mesh: room.obj}]\n")
+    report = check_path(folder)
+    up = np.array([0.0, np.sin(np.radians(30)), np.cos(np.radians(30))])
+    monkeypatch.setattr("gibson_sim.importing.fix.level_near", lambda *_: tuple(up))
+    with pytest.raises(SceneError, match="nothing was written: a mended copy of 'bent' would be worse than it is"):
+        fix_scene(report, tmp_path / "b", Fix(up=(0.0, 0.0, 1.0)))
+    assert not (tmp_path / "b").exists()
+
+
+def test_only_what_could_be_told_before_counts_as_worse(tmp_path: Path) -> None:
+    corners, quads = room()
+    write_obj(tmp_path / "up.obj", corners, quads)
+    write_obj(tmp_path / "side.obj", turned(corners, 0, -90.0), quads)
+    up, side = check_path(tmp_path / "up.obj"), check_path(tmp_path / "side.obj")
+    bad = Report((Finding("no-room", "warning", "nothing is free"),), up.facts)
+    assert made_worse(up, bad) == ["nothing is free"]
+    assert made_worse(side, bad) == []
+    assert made_worse(bad, up) == []
+
+
+# By hand
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("z", (0, 0, 1)), ("-y", (0, -1, 0)), ("+X", (1, 0, 0)), ("0,3,4", (0, 0.6, 0.8)), ("-1,0,0", (-1, 0, 0))],
+)
+def test_directions_are_axes_or_three_numbers(text: str, expected: tuple[float, ...]) -> None:
+    assert direction(text) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("text", ["", "w", "0,0,0", "1,2", "nan,0,1", "1,2,3,4", "inf,0,0"])
+def test_other_directions_are_refused_in_words(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"--up is .*must be an axis, x, y, z, -x, -y, -z, or a direction"):
+        direction(text)
+
+
+def test_a_direction_is_written_as_it_is_read() -> None:
+    assert direction_text((0.0, -1.0, 0.0)) == "-y"
+    assert direction(direction_text((0.48, 0.6, 0.64))) == pytest.approx((0.48, 0.6, 0.64), abs=1e-3)
+
+
+def test_what_is_level_near_a_given_direction_decides_the_rest() -> None:
+    corners, quads = room()
+    assert level_near(turned(corners, 0, 5.0), triangles(quads), (0, 0, 1)) == pytest.approx(
+        tuple(turned(np.array([[0.0, 0.0, 1.0]]), 0, 5.0)[0]), abs=1e-6
+    )
+    assert level_near(turned(corners, 0, 40.0), triangles(quads), (0, 0, 1)) == pytest.approx((0, 0, 1))
+
+
+def test_a_scene_whose_up_is_not_clear_is_turned_by_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    corners, quads = room(furniture=False)
+    rotation = random_rotation(5)
+    write_obj(tmp_path / "box.obj", corners @ rotation.T, quads)
+    assert _run("check", tmp_path / "box.obj", "--fix", "--output", tmp_path / "a") == 1
+    out = capsys.readouterr().out
+    assert "up-unclear: which way is up is not clear: it may be " in out and "--fix --up=" in out
+    up = ",".join(f"{c:.3f}" for c in rotation[:, 2])
+    assert _run("check", tmp_path / "box.obj", "--fix", "--up", up, "--output", tmp_path / "b") == 0
+    facts = check_path(tmp_path / "b").facts
+    assert facts is not None and facts.tilt_deg < 0.01 and facts.size[2] == pytest.approx(2.5, abs=1e-3)
+
+
+def test_starts_are_turned_with_the_scene(tmp_path: Path) -> None:
+    corners, quads = room()
+    write_obj(tmp_path / "room.obj", turned(corners, 0, 4.0), quads)
+    x, y, z = turned(np.array([[-1.0, -1.0, 0.0]]), 0, 4.0)[0]
+    (tmp_path / "scene.yaml").write_text(
+        f"name: t\nstarts: [{{name: door, xyz: [{x}, {y}, {z}]}}]\nobjects: [{{name: room, mesh: room.obj}}]\n"
+    )
+    _, mended = fix_scene(check_path(tmp_path), tmp_path / "b", Fix())
+    assert mended.scene is not None
+    (start,) = mended.scene.starts
+    assert start.pose.position == pytest.approx((-1.0, -1.0, 0.0), abs=0.01)
+
+
+# Imports
+
+
+def _scan_file(path: Path, rotation: np.ndarray) -> Path:
+    vertices, faces = NOISY
+    path.write_bytes(ply(vertices @ rotation.T, faces.tolist(), np.full((len(vertices), 3), 128)))
+    return path
+
+
+def test_a_scan_that_lies_along_no_axis_is_imported_upright(tmp_path: Path) -> None:
+    rotation = random_rotation(7)
+    imported = import_scene(_scan_file(tmp_path / "scan.ply", rotation), tmp_path / "out")
+    assert any("lies along no axis of the file" in w for w in imported.warnings), imported.warnings
+    facts = check_path(tmp_path / "out").facts
+    assert facts is not None and facts.upright and facts.tilt_deg < 0.5
+    assert facts.size[2] == pytest.approx(2.4, abs=0.1)
+
+
+@pytest.mark.parametrize("said", ["-y", "vector"])
+def test_up_of_an_imported_mesh_is_what_the_user_says(tmp_path: Path, said: str) -> None:
+    rotation = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]) if said == "-y" else random_rotation(7)
+    write_obj(tmp_path / "box.obj", room(furniture=False)[0] @ rotation.T, room(furniture=False)[1])
+    up = "-y" if said == "-y" else ",".join(f"{c:.6f}" for c in rotation[:, 2])
+    assert _run("import", tmp_path / "box.obj", "--up-axis", up, "--output", tmp_path / "out") == 0
+    facts = check_path(tmp_path / "out").facts
+    assert facts is not None and facts.size[2] == pytest.approx(2.5, abs=1e-3) and facts.floors == pytest.approx((0.0,), abs=1e-3)
+
+
+def test_an_import_whose_up_is_not_clear_says_so(tmp_path: Path) -> None:
+    write_obj(tmp_path / "box.obj", room(furniture=False)[0] @ random_rotation(5).T, room(furniture=False)[1])
+    (warning, *_) = import_scene(tmp_path / "box.obj", tmp_path / "out").warnings
+    assert "which way is up is not clear" in warning and "--up-axis=" in warning
+    assert Choices().up is None

@@ -1,0 +1,92 @@
+"""Requests take effect in the order in which they came, also where some of them have files to read."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from queue import Queue
+from typing import Any
+
+import pytest
+
+from support.simulation import require
+
+require("rclpy")
+
+from gibson_sim.ros.deferred import Later  # noqa: E402
+from gibson_sim.ros.in_order import InOrder  # noqa: E402
+
+PATIENCE_S = 60.0
+
+
+class Loop:
+    """The thread of an executor, played by the test."""
+
+    def __init__(self) -> None:
+        self._soon: Queue[tuple[Callable[..., None], tuple[Any, ...]]] = Queue()
+        self.in_order = InOrder(lambda function, *arguments: self._soon.put((function, arguments)))
+        self.done: list[str] = []
+        self.answers: list[str] = []
+
+    def turn(self) -> None:
+        function, arguments = self._soon.get(timeout=PATIENCE_S)
+        function(*arguments)
+
+    def ask(self, name: str, read: Callable[[], Any] | None = None) -> bool:
+        """Asks; returns whether the answer is there at once."""
+
+        def act(found: Any) -> str:
+            self.done.append(f"{name} {found}" if found else name)
+            return name
+
+        outcome = self.in_order.take(act, read)
+        if isinstance(outcome, Later):
+            outcome.send_with(self.answers.append)
+        else:
+            self.answers.append(outcome)
+        return not isinstance(outcome, Later)
+
+
+@pytest.fixture
+def loop() -> Loop:
+    return Loop()
+
+
+def test_what_reads_nothing_is_done_at_once(loop: Loop) -> None:
+    assert loop.ask("a")
+    assert loop.done == loop.answers == ["a"]
+
+
+def test_those_behind_wait_for_what_is_read_and_the_loop_does_not(loop: Loop) -> None:
+    gate = threading.Event()
+    assert not loop.ask("spawn", lambda: gate.wait(PATIENCE_S) and "file")
+    assert not loop.ask("delete")
+    assert not loop.ask("second", lambda: "other")
+    assert not loop.ask("reset")
+    assert loop.done == []
+    gate.set()
+    loop.turn()
+    assert loop.done == ["spawn file", "delete"]
+    loop.turn()
+    assert loop.done == ["spawn file", "delete", "second other", "reset"]
+    assert loop.answers == ["spawn", "delete", "second", "reset"]
+    assert loop.ask("later")
+
+
+def test_reading_that_fails_leaves_the_answer_to_whoever_acts(loop: Loop) -> None:
+    def fail() -> None:
+        raise RuntimeError("a mistake of ours")
+
+    loop.ask("spawn", fail)
+    loop.turn()
+    assert loop.done == ["spawn"]
+
+
+def test_answer_that_comes_later_is_passed_on(loop: Loop) -> None:
+    own = Later()
+    outcome = loop.in_order.take(lambda _: own, lambda: None)
+    outcome.send_with(loop.answers.append)
+    loop.turn()
+    assert loop.answers == []
+    own.answer("done")
+    assert loop.answers == ["done"]

@@ -1,0 +1,59 @@
+"""Whatever a client names as a place to look in, it gets an answer, soon, and a mistake of its own is called one."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.scenes import sources
+from gibson_sim.scenes.sources import walk
+from gibson_sim.scenes.spawning import load_spawnable, spawn_name
+from gibson_sim.simulation import catalogue
+from gibson_sim.simulation.filters import TagsFilter
+from gibson_sim.types import Pose
+
+STRANGE = (
+    "/", "/proc", "../..", "/dev", "/proc/self/fd", "a\0b", "\ud800", "x" * 10**6, "", ".", "a\nb", "~nobody/\0", "file:///a%00b",
+    "package://__main__/x", "~" + "x" * 300, "model://\0", "package://../../x",
+)  # fmt: skip
+
+
+def _answers(ask: Callable[[], object]) -> None:
+    start = time.process_time()
+    with suppress(GibsonSimError):
+        ask()
+    assert time.process_time() - start < 10.0, "it searched everything"
+
+
+@pytest.mark.parametrize("source", STRANGE, ids=lambda source: ascii(source)[:20])
+def test_any_source_is_answered(source: str) -> None:
+    _answers(lambda: catalogue.spawnables((source,)))
+    _answers(lambda: catalogue.available_worlds((source,), TagsFilter(), continue_on_error=False))
+
+
+@pytest.mark.parametrize("uri", STRANGE, ids=lambda uri: ascii(uri)[:20])
+def test_any_uri_to_spawn_is_answered(uri: str) -> None:
+    _answers(lambda: spawn_name(uri, ""))
+    _answers(lambda: load_spawnable(uri, "", name="x", pose=Pose()))
+
+
+def test_pipe_in_a_folder_is_not_waited_for(tmp_path: Path) -> None:
+    for name in ("a.sdf", "scene.yaml", "robot.yaml", "model.config", "b.urdf", "c.glb"):
+        os.mkfifo(tmp_path / name)
+    _answers(lambda: catalogue.spawnables((str(tmp_path),)))
+    _answers(lambda: catalogue.available_worlds((str(tmp_path),), TagsFilter(), continue_on_error=False))
+
+
+def test_search_ends_after_so_many_entries_and_levels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    deep = tmp_path.joinpath(*["d"] * 20)
+    deep.mkdir(parents=True)
+    assert len(list(walk(tmp_path))) == sources._MAX_LEVELS + 1
+    monkeypatch.setattr(sources, "_MAX_ENTRIES", 5)
+    with pytest.raises(GibsonSimError, match="more than 5 files and folders"):
+        list(walk(tmp_path))

@@ -1,0 +1,202 @@
+"""Files, YAML and XML of strangers: what is refused is refused before anything is built of it."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+
+from gibson_sim.errors import TextError
+from gibson_sim.quoting import clipped, quoted
+from gibson_sim.reading import (
+    MAX_DEPTH,
+    MAX_XML_DEPTH,
+    MAX_XML_TAGS,
+    MAX_YAML_BYTES,
+    MAX_YAML_VALUES,
+    exists,
+    is_file,
+    is_folder,
+    parse_xml,
+    parse_yaml,
+    read_file,
+    yaml_texts,
+)
+
+BOMB = "name: b\ngravity:\n- &z0 [x,x,x,x,x,x,x,x,x]\n" + "".join(
+    f"- &z{k} [{','.join([f'*z{k - 1}'] * 9)}]\n" for k in range(1, 12)
+)
+"""500 bytes that stand for 9^12 values."""
+MERGE_BOMB = "a0: &a0 {x: 1}\n" + "".join(f"a{k}: &a{k} {{<<: [{','.join([f'*a{k - 1}'] * 9)}]}}\n" for k in range(1, 12))
+
+
+def _cpu_s(do: Callable[[], object]) -> float:
+    start = time.process_time()
+    do()
+    return time.process_time() - start
+
+
+def test_plain_yaml_is_read_as_pyyaml_reads_it(root: Path) -> None:
+    for path in (*sorted(root.glob("scenes/*/scene.yaml")), *sorted(root.glob("config/**/*.yaml"))):
+        assert parse_yaml(path.read_bytes()) == yaml.safe_load(path.read_text()), path
+    text = "{a: &a {x: 1, y: [1.5, yes, null, 2026-01-02]}, b: {<<: *a, x: 2}, c: *a, ? d, 'e': !!str 1}"
+    assert parse_yaml(text) == yaml.safe_load(text)
+    assert parse_yaml("") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (BOMB, f"more than {MAX_YAML_VALUES} values"),
+        (MERGE_BOMB, f"more than {MAX_YAML_VALUES} values"),
+        ("[" * 200_000, f"over more than {MAX_DEPTH} levels"),
+        ("- " * 200_000, f"over more than {MAX_DEPTH} levels"),
+        ("? " * 200_000, f"over more than {MAX_DEPTH} levels"),
+        ("- &a0 [x]\n" + "".join(f"- &a{k} [*a{k - 1}]\n" for k in range(1, 300)), f"over more than {MAX_DEPTH} levels"),
+        ("a: &a [*a]", "alias 'a' holds itself"),
+        ("a: *b", "alias 'b' is not defined before"),
+        ("a: 1\nb: 2\na: 3", "line 3, column 1: key 'a' is there twice"),
+        ("x: 1\n---\ny: 2", "second document"),
+        ("day: 2026-99-99", "month must be in 1..12"),
+        ("x: " + "9" * 5000, "is not YAML"),
+        ('x: !!int ""', "is not YAML"),
+        ("x: !!python/object/apply:os.system [ls]", "is not YAML"),
+        ("? [a]\n: b", "unhashable"),
+        ("a: [", "line 2, column 1"),
+        (b"\xff\xfe\x00", "is not YAML"),
+        ("\ud800", "is not YAML"),
+        ("x" * (MAX_YAML_BYTES + 1), "must have at most 8 MB"),
+    ],
+)
+def test_yaml_that_means_harm_is_refused_in_one_short_line(text: str | bytes, reason: str) -> None:
+    with pytest.raises(TextError, match=re.escape(reason)) as error:
+        parse_yaml(text)
+    assert len(str(error.value)) < 400
+    assert "\n" not in str(error.value)
+    assert error.value.public, "a client is told something"
+
+
+def test_yaml_bombs_cost_no_time() -> None:
+    def refused() -> None:
+        with pytest.raises(TextError):
+            parse_yaml(BOMB)
+
+    assert _cpu_s(refused) < 1.0
+
+
+def test_message_for_clients_has_nothing_of_the_file() -> None:
+    for text in ("a: [\n secret", "secret: 1\nsecret: 2", "x: !secret 1", "x: *secret"):
+        with pytest.raises(TextError) as error:
+            parse_yaml(text)
+        assert error.value.public == "is not YAML that can be read"
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        (b"name: a\nx: [1, {name: no}]\ndescription: two words\n]] no YAML", {"name": "a", "description": "two words"}),
+        (b"x: {name: no, description: no}\n? [name, description]\n: no\n&n name: 5\n", {"name": "5"}),
+        (b"name: ~\ndescription: null", {}),
+        (b"name: ''\ndescription: 'null'", {"description": "null"}),
+        (b"name: [a]\ndescription: &d {name: b}\nother: *d", {}),
+        (b"[name, a]", {}),
+        (b"name", {}),
+        (b"", {}),
+    ],
+)
+def test_texts_of_the_outermost_mapping_are_read_without_the_rest(text: bytes, found: dict[str, str]) -> None:
+    assert yaml_texts(text, ("name", "description")) == found
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (b"<robot>" + b"<link/>" * MAX_XML_TAGS + b"</robot>", f"must have at most {MAX_XML_TAGS}"),
+        (b"<a>" * 1000 + b"</a>" * 1000, f"over more than {MAX_XML_DEPTH} levels"),
+        (b'<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "XML entities"),
+        ('<?xml version="1.0" encoding="UTF-16"?><!DOCTYPE a [<!ENTITY b "c">]><a/>'.encode("utf-16"), "XML entities"),
+        (b"<a><b></a>", "is no well-formed XML"),
+        (b'<?xml version="1.0" encoding="x"?><a/>', "is no well-formed XML"),
+    ],
+)
+def test_xml_that_means_harm_is_refused(text: bytes, reason: str) -> None:
+    with pytest.raises(TextError, match=re.escape(reason)) as error:
+        parse_xml(text)
+    assert error.value.public
+
+
+def test_millions_of_elements_are_refused_unread() -> None:
+    text = b"<robot>" + b"<link/>" * 4_000_000 + b"</robot>"
+
+    def refused() -> None:
+        with pytest.raises(TextError):
+            parse_xml(text)
+
+    assert _cpu_s(refused) < 1.0, "to parse them takes 5 s"
+
+
+def test_only_regular_files_of_bounded_size_are_opened(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"x" * 100)
+    assert read_file(tmp_path / "file") == b"x" * 100
+    assert read_file(tmp_path / "file", 100) == b"x" * 100
+    os.mkfifo(tmp_path / "pipe")
+    for path, reason in (
+        (tmp_path / "pipe", "no regular file"),
+        (tmp_path, "no regular file"),
+        (Path("/dev/zero"), "no regular file"),
+        (tmp_path / "a\0b", "no file can have this name"),
+        (tmp_path / "\udc80\ud800", "no file can have this name"),
+    ):
+        with pytest.raises(OSError, match=re.escape(reason)):
+            read_file(path)
+    with pytest.raises(OSError, match="too large"):
+        read_file(tmp_path / "file", 99)
+    with pytest.raises(FileNotFoundError):
+        read_file(tmp_path / "none")
+
+
+def test_file_that_has_no_size_beforehand_is_bounded() -> None:
+    assert read_file(Path("/proc/self/status")).startswith(b"Name:")
+    with pytest.raises(OSError, match="too large"):
+        read_file(Path("/proc/self/status"), 10)
+
+
+@pytest.mark.parametrize("name", ["a\0b", "x" * 300, "x" * 5000, "\ud800", "none"])
+def test_what_can_be_no_path_is_not_there(tmp_path: Path, name: str) -> None:
+    assert (exists(tmp_path / name), is_file(tmp_path / name), is_folder(tmp_path / name)) == (False, False, False)
+
+
+def test_folders_and_files_are_told_apart(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    os.mkfifo(tmp_path / "pipe")
+    assert (is_file(tmp_path / "file"), is_folder(tmp_path / "file"), exists(tmp_path / "file")) == (True, False, True)
+    assert (is_file(tmp_path), is_folder(tmp_path)) == (False, True)
+    assert (is_file(tmp_path / "pipe"), exists(tmp_path / "pipe")) == (False, True)
+
+
+def test_every_quotation_is_short_and_takes_no_time() -> None:
+    nested: object = ["x"] * 9
+    for _ in range(40):
+        nested = [nested] * 9
+    odd: dict[str, object] = {"a": nested, "b": 10**5000, "c": b"bytes", "d": "t" * 10**6, "e": {k: k for k in range(10**5)}}
+    assert _cpu_s(lambda: [quoted(value) for value in (*odd.values(), odd)]) < 1.0
+    assert all(len(quoted(value)) < 130 for value in (*odd.values(), odd))
+    assert all("\n" not in quoted(value) for value in ("a\nb", ["a\nb"], {"a\nb": 1}))
+
+
+def test_short_values_are_quoted_as_python_writes_them() -> None:
+    for value in ("chair", [1, 2.5, "x"], {"a": None}, True, -3, 1e30, (1, 2), "\x00"):
+        assert quoted(value) == repr(value)
+    assert quoted("x" * 100) == f"'{'x' * 80}'... (100 characters)"
+    assert quoted(b"secret") == "6 bytes"
+    assert quoted(10**5000) == "a whole number of 5001 digits"
+
+
+def test_long_messages_lose_their_middle() -> None:
+    assert clipped("a\n b", 10) == "a b"
+    assert clipped("a" * 100 + "b" * 100, 10) == "aaaaa ... bbbbb"
