@@ -18,7 +18,7 @@ from gibson_sim.cli import (
     bench_tasks,
     bench_tensors,
 )
-from gibson_sim.cli.report_file import add_report_options, parse_device, parse_size, tell, write_json
+from gibson_sim.cli.report_file import add_report_options, parse_device, parse_size, require_device, tell, write_json
 from gibson_sim.config import DETAIL_PX
 from gibson_sim.errors import ConfigError
 from gibson_sim.types import OUTPUTS
@@ -75,6 +75,7 @@ def _add_render(kinds: Any) -> None:
 def run_render(args: argparse.Namespace) -> int:
     """Prints a table, and writes the JSON file if one is named."""
     plan = plan_of(args)
+    require_device(plan.device)
     from gibson_sim.bench.render import measure
     from gibson_sim.bench.render_report import report_text
 
@@ -94,14 +95,13 @@ def plan_of(args: argparse.Namespace) -> Any:
 
     if args.frames < 1:
         raise ConfigError(f"--frames is {args.frames}, must be 1 or more")
-    device = parse_device(args.device)
     return Plan(
         scenes=tuple(_words(args.scenes)),
         sizes=tuple(parse_size(text) for text in _words(args.sizes)),
         outputs=tuple(_outputs(text) for text in args.outputs),
         frames=args.frames,
         detail_px=tuple(_number("--detail-px", text) for text in _words([args.detail_px])),
-        device=device,
+        device=parse_device(args.device),
         pictures=args.pictures,
     )
 

@@ -21,7 +21,7 @@ from gibson_sim.bench.table1_report import report_text
 from gibson_sim.cli.bench_processes import CAMERA, BenchError, answer, conversation, process, role
 from gibson_sim.cli.environment import node_environment, require_nodes
 from gibson_sim.cli.quiet import quiet
-from gibson_sim.cli.report_file import add_report_options, chosen, parse_device, tell, write_json
+from gibson_sim.cli.report_file import add_report_options, chosen, parse_device, require_device, tell, write_json
 from gibson_sim.cli.shared_memory import remove_dead_segments
 from gibson_sim.types import OUTPUTS
 
@@ -63,6 +63,7 @@ def add_parser(kinds: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Prints the tables, and writes the JSON file if one is named."""
     plan = plan_of(args)
+    require_device(plan.device)
     if {LOCKSTEP, FREE} & set(plan.ways):
         require_nodes()
     report = measure(plan, domain_id=args.domain_id, tell=tell)
@@ -78,8 +79,7 @@ def plan_of(args: argparse.Namespace) -> Plan:
         ConfigError: one of them cannot be read.
     """
     plan = replace(Plan.quick() if args.quick else Plan(), ways=chosen(args.only, WAYS))
-    device = parse_device(args.device)
-    return replace(plan, scene=args.scene or plan.scene, houses=tuple(args.house) or plan.houses, device=device)
+    return replace(plan, scene=args.scene or plan.scene, houses=tuple(args.house) or plan.houses, device=parse_device(args.device))
 
 
 @quiet()

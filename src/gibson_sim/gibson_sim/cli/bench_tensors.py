@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import Any
 
-from gibson_sim.cli.report_file import add_report_options, write_json
+from gibson_sim.cli.report_file import add_report_options, parse_device, require_device, write_json
 
 
 def add_parser(subparsers: Any) -> None:
@@ -28,11 +28,13 @@ def run(args: argparse.Namespace) -> int:
     """Prints a table, and writes the JSON file if one is named."""
     from gibson_sim.bench.tensors import measure, table
 
+    device = parse_device(args.device)
+    require_device(device)
     report = measure(
         args.triangles,
         args.blocks,
         args.calls,
-        args.device,
+        device,
         progress=lambda c: print(f"{c.name}, {c.views} x {c.size}x{c.size}: {c.median:,.0f} images/s", file=sys.stderr),
     )
     print(table(report))

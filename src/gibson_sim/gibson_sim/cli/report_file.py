@@ -44,17 +44,20 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def parse_device(text: str | None) -> int | str | None:
-    """Returns what ``--device`` names: the number of an EGL device, or a part of its name.
+    """Returns what ``--device`` names: the number of an EGL device, or a part of its UUID; None = a GPU if there is one."""
+    return int(text) if text is not None and text.isdigit() else text
+
+
+def require_device(device: int | str | None) -> None:
+    """Opens the device that somebody chose and closes it again, before anything is loaded for it.
 
     Raises:
-        GraphicsUnavailableError: it cannot draw; said before anything is loaded.
+        GraphicsUnavailableError: there is no such device, or it cannot draw.
     """
-    device = int(text) if text is not None and text.isdigit() else text
     if device is not None:
         from gibson_sim.render.context import open_context
 
         open_context(device).close()
-    return device
 
 
 def chosen(text: str, known: Collection[str]) -> tuple[str, ...]:
