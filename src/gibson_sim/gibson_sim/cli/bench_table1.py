@@ -79,7 +79,9 @@ def plan_of(args: argparse.Namespace) -> Plan:
         ConfigError: one of them cannot be read.
     """
     plan = replace(Plan.quick() if args.quick else Plan(), ways=chosen(args.only, WAYS))
-    return replace(plan, scene=args.scene or plan.scene, houses=tuple(args.house) or plan.houses, device=parse_device(args.device))
+    return replace(
+        plan, scene=args.scene or plan.scene, houses=tuple(args.house) or plan.houses, device=parse_device(args.device)
+    )
 
 
 @quiet()

@@ -20,7 +20,12 @@ class Feature:
 FEATURES = (
     Feature("SPAWNING", 0, True, "`spawn_entity`, at most 2,000 entities"),
     Feature("DELETING", 1, True, "`delete_entity`, also what the world brought; a reset of everything brings that back"),
-    Feature("NAMED_POSES", 2, True, "`get_named_poses`: start poses, free places, rooms and doors, by the scene's names (`floor_0/kitchen`)"),
+    Feature(
+        "NAMED_POSES",
+        2,
+        True,
+        "`get_named_poses`: start poses, free places, rooms and doors, by the scene's names (`floor_0/kitchen`)",
+    ),
     Feature("POSE_BOUNDS", 3, True, "`get_named_pose_bounds`: a box about the pose, in its frame"),
     Feature("ENTITY_TAGS", 4, True, "`semantic_class` to begin with, then what `set_entity_info` says"),
     Feature("ENTITY_BOUNDS", 5, True, "`get_entity_bounds`: always a box, in the frame of the root link"),
