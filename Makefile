@@ -11,13 +11,14 @@ export FASTRTPS_DEFAULT_PROFILES_FILE ?= $(CURDIR)/config/fastdds.xml
 # What another ROS installation or environment put there does not belong into ours.
 unexport AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LIBRARY_PATH PYTHONPATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: help setup run test lint format bench clean
+.PHONY: help setup run test fuzz lint format bench clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo 'make setup              make the environment $(VENV); PYTHON=python3.12 chooses the interpreter (3.10 to 3.12)'
 	@echo 'make run ARGS="..."     set up, then gibson-sim run ...'
 	@echo 'make test               set up, then all tests; PYTEST_ARGS="-k name" chooses some'
+	@echo 'make fuzz ARGS="..."    set up, then hostile inputs for a minute; ARGS="--seconds 3600" for an hour, --help for more'
 	@echo 'make lint               set up, then ruff, mypy and the import rules'
 	@echo 'make format             set up, then let ruff format the code'
 	@echo 'make bench              set up, then a short table of speed beside the one of docs/benchmarks; for information'
@@ -43,6 +44,9 @@ else
 test: setup
 	@'$(BIN)/python' -m pytest $(PYTEST_ARGS)
 endif
+
+fuzz: setup
+	@PYTHONPATH=tests '$(BIN)/python' -m fuzz $(ARGS)
 
 lint: setup
 	@'$(BIN)/ruff' check $(CODE)
