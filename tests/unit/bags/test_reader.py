@@ -82,6 +82,12 @@ def test_stamp_is_read_in_both_byte_orders() -> None:
     assert stamp_ns(b"\0\0\0\0" + struct.pack(">iI", 3, 4)) == 3_000_000_004
 
 
+@pytest.mark.parametrize("size", [0, 1, 4, 11])
+def test_message_that_ends_before_its_stamp_is_refused(size: int) -> None:
+    with pytest.raises(RecordError, match=f"a message of {size} bytes ends before its stamp"):
+        stamp_ns((b"\0\1\0\0" + struct.pack("<iI", 3, 4))[:size])
+
+
 def test_rgb_image_keeps_rows_columns_and_colours(messages: Any) -> None:
     pixels = np.arange(2 * 3 * 3, dtype=np.uint8).reshape(2, 3, 3)
     array = image_to_array(_image(messages, 0, pixels, "rgb8"))

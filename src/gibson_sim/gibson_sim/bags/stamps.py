@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.errors import RecordError
 from gibson_sim.types import NS_PER_S
+
+_STAMP_BYTES = 8
 
 
 def stamp_ns(data: bytes, at: int = 4) -> int:
@@ -17,7 +20,15 @@ def stamp_ns(data: bytes, at: int = 4) -> int:
     Args:
         data: the message.
         at: where the stamp begins; 4 = at the start, as where the type begins with a Header or a Time.
+
+    Raises:
+        RecordError: the message ends before its stamp does.
     """
+    if len(data) < at + _STAMP_BYTES:
+        raise RecordError(
+            f"a message of {len(data)} bytes ends before its stamp, which needs {at + _STAMP_BYTES}: "
+            "it is damaged, or not of the type that the bag gives its topic"
+        )
     seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, at)
     return int(seconds) * NS_PER_S + int(nanoseconds)
 
