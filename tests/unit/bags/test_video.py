@@ -224,3 +224,10 @@ def test_contact_sheet_puts_depth_below_colour_and_text_below_both(write_drive: 
     assert sheet[240 + 10, 160].max() == 0  # the upper row sees nothing
     assert sheet[240 + 120, 160].max() > 100
     assert sheet[480:, :].max() == 255  # text
+
+
+def test_stamps_that_span_years_are_refused_before_memory_is_asked_for(write_images: Callable[..., Path], tmp_path: Path) -> None:
+    folder = write_images({0: RED, 1: GREEN, 20_000_000_000: BLUE})
+    with pytest.raises(RecordError, match=r"the stamps of the images span 2e\+09 s, a video of more than 5,000,000 frames"):
+        write_video(folder, tmp_path / "a.mp4")
+    assert not (tmp_path / "a.mp4").exists()

@@ -24,6 +24,8 @@ IMAGE = "sensor_msgs/msg/Image"
 ODOMETRY = "nav_msgs/msg/Odometry"
 DEPTH_RANGE_M = 8.0
 """Depth that has the coldest colour; everything farther has it too. 0 m has the warmest."""
+MOST_FRAMES = 5_000_000
+"""Of a video; about a day at 60 Hz."""
 MAX_FPS = 60.0
 
 Bgr = NDArray[np.uint8]
@@ -230,7 +232,17 @@ def _camera(topic: str) -> str:
 
 
 def repeats_of(stamps: NDArray[np.int64], step_ns: float) -> NDArray[np.int64]:
-    """Returns how many frames of the video show each image (N,): every video frame shows the image nearest to its time."""
+    """Returns how many frames of the video show each image (N,): every video frame shows the image nearest to its time.
+
+    Raises:
+        RecordError: there would be more than ``MOST_FRAMES``.
+    """
+    seconds = (stamps[-1] - stamps[0]) / NS_PER_S
+    if (stamps[-1] - stamps[0]) / step_ns > MOST_FRAMES:
+        raise RecordError(
+            f"the stamps of the images span {seconds:.4g} s, a video of more than {MOST_FRAMES:,} frames: "
+            "look whether they are right (gibson-sim bag check), choose a smaller --fps or a higher --speed"
+        )
     count = int(np.floor((stamps[-1] - stamps[0]) / step_ns + 0.5)) + 1
     times = (np.arange(count) * step_ns).astype(np.float64)
     since_start = (stamps - stamps[0]).astype(np.float64)

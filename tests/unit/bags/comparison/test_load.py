@@ -146,3 +146,11 @@ def test_wished_topic_that_is_missing_is_an_error(folder: Path) -> None:
 def test_folder_that_is_no_bag_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="no bag"):
         load_recording(tmp_path / "nothing")
+
+
+def test_stamps_that_span_years_are_refused(folder: Path) -> None:
+    with StandardBag(folder) as bag:
+        odometry(bag)
+        bag.odometry("/odom", 2_000_000_000 * NS, 0.0, 0.0, 0.0, 0.0, 0.0)
+    with pytest.raises(RecordError, match=r"span 2e\+09 s, at most 604,800 s are compared"):
+        load_recording(folder)

@@ -34,6 +34,8 @@ from gibson_sim.types import Pose
 MOST_PICTURES = 200
 """Images are taken evenly over the recording, no more than these."""
 MOST_SCANS = 3000
+LONGEST_S = 7 * 24 * 3600
+"""Of a recording; a wrong stamp makes years of it."""
 _OCCUPIED = 65
 """Cells of an occupancy grid from here on are walls."""
 _OPTIONAL_MAP = "map"
@@ -269,8 +271,17 @@ def _planar(stamp: Any, pose: Any, twist: Any) -> tuple[int, float, float, float
 
 
 def _in_order(rows: list[Any], begin: int) -> tuple[F64, F64]:
-    """Returns times since ``begin``, strictly rising, (N,), and the other columns, (N, C)."""
+    """Returns times since ``begin``, strictly rising, (N,), and the other columns, (N, C).
+
+    Raises:
+        RecordError: the stamps span more than ``LONGEST_S``.
+    """
     stamps, first = np.unique(np.array([row[0] for row in rows], dtype=np.int64), return_index=True)
+    if stamps[-1] - stamps[0] > LONGEST_S * NS_PER_S:
+        raise RecordError(
+            f"the stamps of a topic span {(stamps[-1] - stamps[0]) / NS_PER_S:.4g} s, at most {LONGEST_S:,} s are compared: "
+            "look whether they are right (gibson-sim bag check)"
+        )
     return (stamps - begin) / NS_PER_S, np.array([rows[i][1:] for i in first], dtype=np.float64)
 
 
