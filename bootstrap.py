@@ -8,6 +8,7 @@ made from, so a second run finds nothing to do. What goes wrong is said in one l
 from __future__ import annotations
 
 import argparse
+import configparser
 import contextlib
 import fcntl
 import hashlib
@@ -29,6 +30,9 @@ INTERFACES = (ROOT / "src" / "gibson_msgs", ROOT / "ros_ws" / "src" / "compat")
 PYTHON_ONLY = ROOT / "ros_ws" / "src" / "compat" / "python_only"
 """What makes CMake build messages for Python alone."""
 
+SHARED = ("config", "launch/*", "package.xml", "scenes")
+"""What of a project others find in its share folder. `ros2 launch` looks for a file there, but not in folders that are links."""
+
 SUPPORTED = ((3, 10), (3, 11), (3, 12))
 BUILD_TOOLS = ("numpy", "packaging", "setuptools", "wheel")
 """What pip needs to build the packages that come as sources. With NumPy there, PyBullet is built to work with it."""
@@ -36,14 +40,8 @@ COMPILED_PYBULLET = (3, 12)
 """From this Python on there is no binary package of PyBullet."""
 
 FOREIGN = (
-    "AMENT_PREFIX_PATH",
-    "CMAKE_PREFIX_PATH",
-    "COLCON_PREFIX_PATH",
-    "LD_LIBRARY_PATH",
-    "PYTHONHOME",
-    "PYTHONPATH",
-    "VIRTUAL_ENV",
-)
+    "AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH", "LD_LIBRARY_PATH", "PYTHONHOME", "PYTHONPATH", "VIRTUAL_ENV",
+)  # fmt: skip
 """Variables of another ROS installation or environment, which must not reach into ours."""
 PYTHON = getattr(sys, "_base_executable", None) or sys.executable
 """The interpreter to build on: the one below, where this runs inside an environment."""
@@ -215,17 +213,10 @@ def pinned(*names: str) -> list[str]:
     return [line for line in pins() if line.partition("==")[0] in names]
 
 
-def pip(venv: Path, log: str, *arguments: str) -> None:
-    """Runs pip in the environment: exact versions, no resolving, no build environments of its own."""
-    command = [
-        str(venv / "bin" / "python"),
-        "-m",
-        "pip",
-        "install",
-        "--disable-pip-version-check",
-        "--no-deps",
-        "--no-build-isolation",
-    ]
+def pip(venv: Path, log: str, action: str, *arguments: str) -> None:
+    """Runs an action of pip in the environment: exact versions, no resolving, no build environments of its own."""
+    command = [str(venv / "bin" / "python"), "-m", "pip", action]
+    command += ["--disable-pip-version-check", "--no-deps", "--no-build-isolation"]
     run([*command, *arguments], venv, venv / "gibson_setup" / f"{log}.log")
 
 
@@ -242,16 +233,7 @@ def pybullet_wheels(venv: Path) -> Path:
         "3 to 5 minutes, once per machine"
     )
     folder = venv / "gibson_setup" / "wheels"
-    command = [
-        str(venv / "bin" / "python"),
-        "-m",
-        "pip",
-        "wheel",
-        "--disable-pip-version-check",
-        "--no-deps",
-        "--no-build-isolation",
-    ]
-    run([*command, "--wheel-dir", str(folder), requirement], venv, venv / "gibson_setup" / "pybullet.log")
+    pip(venv, "pybullet", "wheel", "--wheel-dir", str(folder), requirement)
     try:
         cache.mkdir(parents=True, exist_ok=True)
         for wheel in folder.glob("*.whl"):
@@ -269,7 +251,7 @@ def install_packages(venv: Path, key: str) -> bool:
     if stamp.fresh():
         return False
     say("installing the packages of constraints.txt (about a minute)")
-    pip(venv, "build_tools", *pinned(*BUILD_TOOLS))
+    pip(venv, "build_tools", "install", *pinned(*BUILD_TOOLS))
     find = []
     if sys.version_info[:2] >= COMPILED_PYBULLET:
         find = ["--find-links", str(pybullet_wheels(venv))]
@@ -277,7 +259,8 @@ def install_packages(venv: Path, key: str) -> bool:
     others = [line for line in pins() if line not in ros]
     # They share no file and need nothing of each other, so both can be installed at a time.
     with ThreadPoolExecutor() as pool:
-        for installed in [pool.submit(pip, venv, "ros", *ros), pool.submit(pip, venv, "packages", *find, *others)]:
+        both = [("ros", "install", *ros), ("packages", "install", *find, *others)]
+        for installed in [pool.submit(pip, venv, *arguments) for arguments in both]:
             installed.result()
     point_exports_here(venv)
     stamp.write()
@@ -312,19 +295,11 @@ def build_interfaces(venv: Path, key: str) -> bool:
     if not below.fresh():
         shutil.rmtree(venv / "ros_build", ignore_errors=True)
         below.write()
-    say("building the message packages with colcon (about a minute the first time)")
+    say("building the message packages with colcon (a minute or two the first time)")
     python, base = venv / "bin" / "python", venv / "ros_build"
     command = [str(python), "-m", "colcon", "--log-base", str(base / "log"), "build", "--base-paths", *map(str, INTERFACES)]
-    command += [
-        "--merge-install",
-        "--install-base",
-        str(venv),
-        "--build-base",
-        str(base / "build"),
-        "--cmake-args",
-        "-G",
-        "Ninja",
-    ]
+    command += ["--merge-install", "--install-base", str(venv), "--build-base", str(base / "build")]
+    command += ["--cmake-args", "-G", "Ninja"]
     command += [f"-DPython3_EXECUTABLE={python}", "-DBUILD_TESTING=OFF", "-DCMAKE_BUILD_TYPE=Release", "--no-warn-unused-cli"]
     command += [f"-Drosidl_default_generators_DIR={PYTHON_ONLY}", "-DCMAKE_C_FLAGS_RELEASE=-O1", "-DCMAKE_CXX_FLAGS_RELEASE=-O1"]
     # Both are needed for as many compilers as there are cores: colcon would start fewer of them on a machine that is busy.
@@ -338,14 +313,36 @@ def build_interfaces(venv: Path, key: str) -> bool:
 def install_project(venv: Path) -> bool:
     """Installs Gibson Sim and its examples from the source tree, in place. Returns whether there was something to do."""
     files = [project / name for project in PROJECTS for name in ("setup.py", "setup.cfg", "pyproject.toml")]
-    stamp = Stamp(venv, "project", digest(files, str(ROOT), str(venv)))
+    shared = [str(path) for project in PROJECTS for path in shared_parts(project)]
+    stamp = Stamp(venv, "project", digest(files, str(ROOT), str(venv), *shared))
     if stamp.fresh():
         return False
     say(f"installing {' and '.join(project.name for project in PROJECTS)} from the source tree")
     for project in PROJECTS:
-        pip(venv, project.name, "--editable", str(project))
+        pip(venv, project.name, "install", "--editable", str(project))
+        put_into_ament_index(venv, project)
     stamp.write()
     return True
+
+
+def shared_parts(project: Path) -> list[Path]:
+    """Returns the folders and files of a project that ``SHARED`` names and that exist."""
+    return sorted(path for part in SHARED for path in project.glob(part) if path.exists() and path.name != "__pycache__")
+
+
+def put_into_ament_index(venv: Path, project: Path) -> None:
+    """Makes the links by which launch, `ros2 run` and their like find a package that pip has installed in place."""
+    name, share = project.name, venv / "share"
+    links = {share / "ament_index" / "resource_index" / "packages" / name: project / "resource" / name}
+    links |= {share / name / path.relative_to(project): path for path in shared_parts(project)}
+    scripts = configparser.ConfigParser()
+    scripts.read(venv.glob(f"lib/python3.*/site-packages/{name}-*.dist-info/entry_points.txt"))
+    links |= {venv / "lib" / name / script: venv / "bin" / script for script in scripts["console_scripts"]}
+    shutil.rmtree(share / name, ignore_errors=True)
+    for link, target in links.items():
+        link.parent.mkdir(parents=True, exist_ok=True)
+        link.unlink(missing_ok=True)
+        link.symlink_to(target)
 
 
 @contextlib.contextmanager

@@ -84,3 +84,29 @@ def test_another_ros_installation_stays_outside(bootstrap: ModuleType, monkeypat
     env = bootstrap.clean_environment(Path("/venv"))
     assert {"PYTHONPATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"} & set(env) == set()
     assert env["PATH"].split(":")[0] == "/venv/bin"
+
+
+def test_packages_installed_in_place_are_put_into_the_ament_index(bootstrap: ModuleType, tmp_path: Path) -> None:
+    project, venv = tmp_path / "robot_shop", tmp_path / "venv"
+    metadata = venv / "lib/python3.11/site-packages/robot_shop-0.1.0.dist-info/entry_points.txt"
+    for file in (
+        project / "resource/robot_shop",
+        project / "launch/shop.launch.py",
+        project / "config/shop.yaml",
+        project / "package.xml",
+        metadata,
+    ):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch()
+    metadata.write_text("[console_scripts]\nsell_node = robot_shop.sell:main\n")
+    bootstrap.put_into_ament_index(venv, project)
+    (project / "launch/shop.launch.py").rename(project / "launch/store.launch.py")
+    bootstrap.put_into_ament_index(venv, project)
+    links = {str(link.relative_to(venv)): link.readlink() for link in venv.rglob("*") if link.is_symlink()}
+    assert links == {
+        "lib/robot_shop/sell_node": venv / "bin/sell_node",
+        "share/ament_index/resource_index/packages/robot_shop": project / "resource/robot_shop",
+        "share/robot_shop/config": project / "config",
+        "share/robot_shop/launch/store.launch.py": project / "launch/store.launch.py",
+        "share/robot_shop/package.xml": project / "package.xml",
+    }

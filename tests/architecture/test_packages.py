@@ -50,6 +50,7 @@ def test_colcon_sees_each_package_as_what_it_is(root: Path, tmp_path: Path) -> N
     env = {**os.environ, "COLCON_HOME": str(tmp_path)}
     done = subprocess.run(command, cwd=root / "ros_ws", env=env, capture_output=True, text=True, check=True)
     assert done.stdout.splitlines() == [
+        "control_msgs\tsrc/compat/control_msgs\t(ros.ament_cmake)",
         "gibson_examples\tsrc/gibson_examples\t(ros.ament_python)",
         "gibson_msgs\tsrc/gibson_msgs\t(ros.ament_cmake)",
         "gibson_sim\tsrc/gibson_sim\t(ros.ament_python)",

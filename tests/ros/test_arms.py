@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -178,10 +178,7 @@ class _Nowhere:
 @pytest.fixture
 def actions() -> Any:
     found = control_actions()
-    if found is None:
-        message = "SKIPPED: control_msgs is not installed, so there are no actions; tests/unit/ros has what can be tested without"
-        warnings.warn(message, stacklevel=2)
-        pytest.skip(message)
+    assert found is not None, "no package control_msgs: `make setup` builds it, and so does colcon in ros_ws"
     return found
 
 
@@ -239,3 +236,15 @@ def test_gripper_stalls_at_what_it_holds(actions: Any, rig: Rig, listener: Liste
         assert (future.result().status, found.stalled, found.reached_goal) == (4, *expected)
     assert math.isfinite(found.effort)
     client.destroy()
+
+
+def test_actions_that_cannot_be_offered_are_named(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr("gibson_sim.ros.arm_interface.control_actions", lambda: None)
+    monkeypatch.setattr(rig.node, "get_logger", lambda: SimpleNamespace(warning=said.append))
+    arms = ArmInterface(rig.node, replace(rig.scene.robots[0], namespace="lone"), lambda topic: None, 0)
+    arms.close()
+    assert said == [
+        "no package control_msgs here: lone/arm_controller/follow_joint_trajectory, lone/gripper_controller/gripper_cmd are not offered, "
+        "the topics are; install ros-jazzy-control-msgs, or build and source ros_ws, which has control_msgs"
+    ]

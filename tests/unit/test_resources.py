@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.errors import ConfigError, RobotError, SceneNotFoundError
-from gibson_sim.resources import cache_folder, find_config, find_robot, find_scene, known_scenes
+from gibson_sim.resources import cache_folder, find_config, find_robot, find_scene, known_scenes, share_folders
 from support.scenes import write_room
 
 
@@ -107,3 +107,18 @@ def test_a_name_does_not_lead_out_of_the_folders_that_are_searched(tmp_path: Pat
     monkeypatch.chdir(tmp_path / "share")
     with pytest.raises(ConfigError, match="is not found"):
         find_config("inner/../../../../secret", "presets")
+
+
+def test_files_of_an_installation_that_is_a_link_to_the_sources_have_one_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tree, share = tmp_path / "tree", tmp_path / "prefix" / "share" / "gibson_sim"
+    for name in ("config", "scenes"):
+        (tree / name).mkdir(parents=True)
+        share.mkdir(parents=True, exist_ok=True)
+        (share / name).symlink_to(tree / name)
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path / "prefix"))
+    monkeypatch.delenv("GIBSON_SIM_PATH", raising=False)
+    assert share_folders()[0] == tree
+    (share / "scenes").unlink()
+    assert share_folders()[0] == share, "somebody's own link, which says nothing about where the rest is"

@@ -28,8 +28,8 @@ _OBJECTS = "objects"
 def share_folders() -> tuple[Path, ...]:
     """Returns the existing folders that may hold ``scenes/``, ``config/``, ``robots/`` and ``objects/``, the first one wins."""
     candidates = [Path(entry).expanduser() for entry in os.environ.get(PATH_VARIABLE, "").split(":") if entry]
-    candidates += [Path(entry) / "share" / PACKAGE for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if entry]
-    candidates.append(Path(sys.prefix) / "share" / PACKAGE)
+    prefixes = [*(Path(entry) for entry in os.environ.get("AMENT_PREFIX_PATH", "").split(":") if entry), Path(sys.prefix)]
+    candidates += [_unlinked(prefix / "share" / PACKAGE) for prefix in prefixes]
     candidates += [p for p in Path(__file__).resolve().parents if is_folder(p / "config") and is_folder(p / "scenes")]
     found: list[Path] = []
     for folder in candidates:
@@ -37,6 +37,13 @@ def share_folders() -> tuple[Path, ...]:
         if is_folder(folder) and not exists(folder / "__init__.py") and folder not in found:
             found.append(folder)
     return tuple(found)
+
+
+def _unlinked(share: Path) -> Path:
+    """Returns the source tree where ``share`` is made of links to its folders, so that every file has one path; else ``share``."""
+    links = [share / "config", share / "scenes"]
+    trees = {link.resolve().parent for link in links if link.is_symlink()}
+    return trees.pop() if len(trees) == 1 and all(link.is_symlink() for link in links) else share
 
 
 def find_scene(name_or_path: str | Path) -> Path:

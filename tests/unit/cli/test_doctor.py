@@ -90,3 +90,18 @@ def test_without_cuda_the_remedy_is_the_extra(answers: Answers) -> None:
 def test_nothing_is_said_of_cuda_where_no_nvidia_gpu_draws(answers: Answers) -> None:
     answers({"list_devices": devices(device(0, vendor="Mesa/X.org", software=True)), "self_test": (True, "drawn")})
     assert [f.what for f in doctor._graphics()] == ["EGL device 0"]
+
+
+def test_a_message_package_that_is_missing_is_named(answers: Answers) -> None:
+    missing = "ModuleNotFoundError: No module named"
+    answers(
+        {
+            "import rclpy": (True, "rmw"),
+            "import control_msgs": (False, missing),
+            "import tf2_msgs": (False, missing),
+            "": (True, ""),
+        }
+    )
+    found = {f.what: f for f in doctor._ros()}
+    assert {what: f.status for what, f in found.items() if f.status != "ok"} == {"control_msgs": "warn", "tf2_msgs": "FAIL"}
+    assert found["control_msgs"].remedy.startswith("run `make setup`, or build the workspace")

@@ -86,6 +86,16 @@ def _try(code: str) -> tuple[bool, str]:
     return done.returncode == 0, lines[-1] if lines else f"exit code {done.returncode}, and it said nothing"
 
 
+MESSAGES = {
+    "gibson_msgs": True,
+    "tf2_msgs": True,
+    "control_msgs": False,
+    "rosbag2_interfaces": False,
+    "simulation_interfaces": False,
+}
+"""Message packages that a ROS installation may lack, and whether nothing works without."""
+
+
 def _ros() -> Iterator[Finding]:
     source = "from pip" if in_wheels() else "from the ROS installation"
     ok, text = _try("import rclpy; rclpy.init(); print(rclpy.get_rmw_implementation_identifier()); rclpy.try_shutdown()")
@@ -95,7 +105,7 @@ def _ros() -> Iterator[Finding]:
         f"{source}, {text}" if ok else text,
         "" if ok else "run `make setup`, or source your ROS 2 Jazzy installation",
     )
-    for package, needed in (("gibson_msgs", True), ("tf2_msgs", True), ("simulation_interfaces", False)):
+    for package, needed in MESSAGES.items():
         ok, text = _try(f"import {package}; print({package}.__path__[0])")
         remedy = (
             "" if ok else "run `make setup`, or build the workspace: cd ros_ws && colcon build, then source install/setup.bash"

@@ -6,7 +6,7 @@ is looked at in every tick.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
 
@@ -38,6 +38,14 @@ def control_actions() -> Any | None:
         return import_module("control_msgs.action")
     except ImportError:
         return None
+
+
+def without_control_msgs(actions: Sequence[str]) -> str:
+    """Returns what to say where the actions of these names cannot be offered."""
+    return (
+        f"no package control_msgs here: {', '.join(actions)} {'is' if len(actions) == 1 else 'are'} not offered, the topics are; "
+        "install ros-jazzy-control-msgs, or build and source ros_ws, which has control_msgs"
+    )
 
 
 class _OneGoal:

@@ -22,7 +22,7 @@ from gibson_sim.quoting import quoted
 from gibson_sim.robots.manipulator_spec import ManipulatorSpec
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.ros import conversions, names, qos
-from gibson_sim.ros.arm_actions import Answer, GripperAction, TrajectoryAction, control_actions
+from gibson_sim.ros.arm_actions import Answer, GripperAction, TrajectoryAction, control_actions, without_control_msgs
 from gibson_sim.ros.deferred import DeferredService, Later
 from gibson_sim.ros.digest_publisher import DigestPublisher
 from gibson_sim.ros.journal import Journal
@@ -82,17 +82,20 @@ class ArmInterface:
         self._trajectories: list[TrajectoryAction] = []
         self._grippers: list[GripperAction] = []
         self._collisions_pub = node.create_publisher(CollisionCount, self._topic(names.COLLISIONS), **qos.overridable(qos.STATE))
+        actions, lacking = control_actions(), []
         for arm in robot.manipulators:
-            self._add(arm, "" if len(robot.manipulators) == 1 else f"{arm.name}/")
+            lacking += self._add(arm, "" if len(robot.manipulators) == 1 else f"{arm.name}/", actions)
+        if lacking:
+            node.get_logger().warning(without_control_msgs(lacking))
         self.command_topics = frozenset(self._routes)
         """Resolved."""
 
     def _topic(self, name: str) -> str:
         return f"{self._robot.namespace}/{name}" if self._robot.namespace else name
 
-    def _add(self, arm: ManipulatorSpec, prefix: str) -> None:
-        """Makes the topics of one arm."""
-        actions = control_actions()
+    def _add(self, arm: ManipulatorSpec, prefix: str, actions: Any | None) -> list[str]:
+        """Makes the topics of one arm, and its actions where they can be had. Returns the names of the actions that cannot."""
+        follow = self._topic(names.controller(arm.name, "follow_joint_trajectory"))
         trajectory = names.controller(arm.name, names.JOINT_TRAJECTORY)
         self._listen(JointTrajectory, trajectory, partial(self._follow, arm.joints), arm.joints)
         self._listen(TwistStamped, names.servo(arm.name), partial(self._servo, arm.name), arm.joints)
@@ -100,7 +103,7 @@ class ArmInterface:
             action = TrajectoryAction(
                 self._node,
                 actions.FollowJointTrajectory,
-                self._topic(names.controller(arm.name, "follow_joint_trajectory")),
+                follow,
                 self._resolved(trajectory),
                 arm.joints,
                 self._send,
@@ -108,7 +111,7 @@ class ArmInterface:
             )
             self._trajectories.append(action)
         if arm.gripper is None:
-            return
+            return [] if actions is not None else [follow]
         gripper, joints = f"{prefix.replace('/', '_')}gripper", arm.gripper.joints
         command, grasp = names.controller(gripper, names.JOINT_COMMAND), f"{prefix}{names.GRASP}"
         self._listen(JointTrajectory, names.controller(gripper, names.JOINT_TRAJECTORY), partial(self._follow, joints), joints)
@@ -120,11 +123,13 @@ class ArmInterface:
         self._services.append(
             DeferredService(self._node, SetBool, self._topic(grasp), partial(self._on_grasp, arm.name, self._resolved(grasp)))
         )
-        if actions is not None:
-            name = self._topic(names.controller(gripper, "gripper_cmd"))
-            self._grippers.append(
-                GripperAction(self._node, actions.GripperCommand, name, self._resolved(command), joints, self._send)
-            )
+        grip = self._topic(names.controller(gripper, "gripper_cmd"))
+        if actions is None:
+            return [follow, grip]
+        self._grippers.append(
+            GripperAction(self._node, actions.GripperCommand, grip, self._resolved(command), joints, self._send)
+        )
+        return []
 
     def _resolved(self, name: str) -> str:
         return self._node.resolve_topic_name(self._topic(name))
