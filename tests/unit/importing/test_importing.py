@@ -313,3 +313,34 @@ def test_many_things_that_do_not_hang_together_are_no_scan() -> None:
     triangles = np.concatenate([squares[:, :3], squares[:, [0, 2, 3]]]).astype(np.uint32)
     meshes = (Mesh((MeshPart(v.astype(np.float32), normals, None, triangles, Material()),)) for v in (loose, apart))
     assert [is_scan(mesh) for mesh in meshes] == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("cwd", "named"),
+    [
+        ("pläce of worlds", "worlds/a.world"),
+        ("pläce of worlds/worlds", "a.world"),
+        ("pläce of worlds/worlds", "./a.world"),
+        ("pläce of worlds/models", "../worlds/a.world"),
+        ("link/worlds", "a.world"),
+        (".", "link/models/../worlds/a.world"),
+    ],
+)
+def test_a_world_of_a_relative_path_finds_the_models_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cwd: str, named: str
+) -> None:
+    place = tmp_path / "pläce of worlds"
+    (place / "worlds").mkdir(parents=True)
+    (place / "models/room").mkdir(parents=True)
+    corners, quads = room()
+    write_obj(place / "models/room/room.obj", corners, quads)
+    shape = "<geometry><mesh><uri>model://room/room.obj</uri></mesh></geometry>"
+    link = f"<link name='l'><visual name='v'>{shape}</visual><collision name='c'>{shape}</collision></link>"
+    (place / "models/room/model.sdf").write_text(f"<sdf version='1.6'><model name='room'><static>1</static>{link}</model></sdf>")
+    (place / "models/room/model.config").write_text("<model><name>room</name><sdf>model.sdf</sdf></model>")
+    include = "<include><uri>model://room</uri></include>"
+    (place / "worlds/a.world").write_text(f"<sdf version='1.6'><world name='a'>{include}</world></sdf>")
+    (tmp_path / "link").symlink_to(place)
+    monkeypatch.chdir(tmp_path / cwd)
+    imported = import_scene(Path(named), tmp_path / "out put")
+    assert [v.name for v in imported.scene.visuals] == ["room"] and not imported.warnings

@@ -65,8 +65,10 @@ def identify(path: Path) -> Source:
     """
     if not path.exists():
         raise SceneNotFoundError(f"{path}: there is nothing; give a file or a folder")
+    # What worlds name is sought in the folders above: those of a relative path, or of one through `..`, are not its parents.
     if path.is_dir():
-        return _folder(path)
+        return _folder(Path(os.path.realpath(path)))
+    path = Path(os.path.realpath(path.parent)) / path.name
     check_file(path, MAX_BYTES)
     return _file(path)
 
