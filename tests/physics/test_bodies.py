@@ -12,6 +12,7 @@ import trimesh
 
 from gibson_sim.errors import PhysicsError
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
+from gibson_sim.physics.body import hull_of
 from gibson_sim.physics.static_shapes import GROUND
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.body import BodySpec
@@ -349,3 +350,10 @@ def test_state_of_one_body_is_that_of_the_whole_to_the_bit() -> None:
             (alone.twists, whole.twists),
         ):
             assert part[0].tobytes() == all_[1].tobytes()
+
+
+def test_the_hull_of_a_file_that_changed_is_made_anew(tmp_path: Path) -> None:
+    shape = Shape("mesh", (1.0, 1.0, 1.0), str(tmp_path / "box.ply"))
+    for edge in (1.0, 3.0):
+        trimesh.creation.box((edge, edge, edge)).export(tmp_path / "box.ply")
+        assert np.ptp(hull_of(shape)[0], axis=0) == pytest.approx((edge, edge, edge))

@@ -286,3 +286,13 @@ def test_nothing_is_written_to_the_terminal(root: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("", "")
+
+
+def test_a_mesh_of_a_robot_that_is_missing_is_logged_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    mesh = '<visual><geometry><mesh filename="nothere.obj"/></geometry></visual>'
+    (tmp_path / "r.urdf").write_text(f'<robot name="r"><link name="base">{mesh}</link></robot>')
+    (tmp_path / "robot.yaml").write_text("urdf: r.urdf\nradius: 0.2\nheight: 0.3\n")
+    robot = load_robot(tmp_path)
+    with PhysicsWorld(SceneSpec("empty", Path("/nowhere"), "0", (), (), ground_z=0.0, robots=(robot,))) as world:
+        assert any("nothere.obj" in warning for warning in world.warnings)
+    assert sum("nothere.obj" in record.getMessage() for record in caplog.records) == 1

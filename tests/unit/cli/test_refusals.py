@@ -31,6 +31,7 @@ WRONG = [
     (("run", "--asset-roots", "a=/"), 1, "'asset_roots' has 'a', must be an absolute folder"),
     (("run", "--seed", "-1"), 1, "'seed' is -1, must be 0 or more"),
     (("run", "--rate", "fast"), 2, "argument --rate: 'fast' is neither a number nor max"),
+    (("run", "--video", "new.webm"), 1, "--video 'new.webm': the name must end in .mp4"),
     (("run", "--recrod", "x"), 2, "unrecognized arguments: --recrod x; did you mean '--record'?"),
     (("runn",), 2, "command 'runn' is unknown; did you mean 'run'? known: run, drive"),
     (("bag", "chek", "x"), 2, "'chek' is unknown; did you mean 'check'? known: check, repair"),
@@ -84,6 +85,29 @@ def test_a_scene_file_that_is_no_yaml_is_refused_by_the_launcher(tmp_path: Path,
         main(["run", "--scene", str(tmp_path)])
     assert end.value.code == 1
     assert f"{tmp_path}/scene.yaml: is not YAML" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"", "is no well-formed XML: no element found"),
+        (b"<sdf version='1.6'><world", "is no well-formed XML: unclosed token"),
+        (b"\x00\xff\x13" * 99, "is no well-formed XML"),
+        (b"<sdf>" + b"<link/>" * 300_001, "must have at most 300000; split it"),
+    ],
+    ids=["empty", "cut", "binary", "huge"],
+)
+@pytest.mark.parametrize("name", ["a.world", "a.sdf"])
+def test_a_world_that_is_no_xml_is_refused_by_the_launcher(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, name: str, data: bytes, said: str
+) -> None:
+    monkeypatch.setattr("gibson_sim.cli.processes.subprocess.Popen", lambda *_, **__: pytest.fail("a process was started"))
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(SystemExit) as end:
+        main(["run", "--scene", str(tmp_path / name)])
+    error = capsys.readouterr().err
+    assert (end.value.code, error.count("\n")) == (1, 1), error
+    assert error.startswith(f"gibson-sim: error: {tmp_path / name}: ") and said in error
 
 
 def test_a_broken_robot_file_is_refused_by_the_launcher(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

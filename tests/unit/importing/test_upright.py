@@ -10,8 +10,10 @@ import pytest
 from gibson_sim.cli.main import main
 from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.importing.check import Finding, Report, check_path
+from gibson_sim.importing.document import rpy_deg
+from gibson_sim.importing.facts import SceneFacts
 from gibson_sim.importing.fix import Fix, fix_scene, made_worse
-from gibson_sim.importing.gravity import direction, direction_text, guess_up, level_near
+from gibson_sim.importing.gravity import direction, direction_text, guess_up, level_near, rotation_to_z
 from gibson_sim.importing.run import Choices, import_scene
 from support.interiors import box_faces, room, triangles, turned, write_obj
 from support.plys import ply
@@ -240,3 +242,70 @@ def test_an_import_whose_up_is_not_clear_says_so(tmp_path: Path) -> None:
     (warning, *_) = import_scene(tmp_path / "box.obj", tmp_path / "out").warnings
     assert "which way is up is not clear" in warning and "--up-axis=" in warning
     assert Choices().up is None
+
+
+# What was levelled before
+
+
+def _laid_on_a_wall(folder: Path, vertices: np.ndarray, faces: np.ndarray) -> Path:
+    """Writes a scene of a mesh whose z is up, and the pose of a levelling that took one of its walls, 30 degrees off x, for the floor."""
+    heading = turned(np.eye(3), 2, 30.0).T
+    folder.mkdir()
+    data = ply(vertices @ heading.T, faces.tolist(), np.full((len(vertices), 3), 128))
+    folder.joinpath("scan.ply").write_bytes(data)
+    pose = f"{{rpy_deg: {rpy_deg(rotation_to_z(heading @ np.array([1.0, 0.0, 0.0])))}}}"
+    folder.joinpath("scene.yaml").write_text(f"name: t\nobjects: [{{name: scan, mesh: scan.ply, up_axis: z, pose: {pose}}}]\n")
+    return folder
+
+
+def test_a_levelling_that_laid_a_scan_on_a_wall_is_taken_back(tmp_path: Path) -> None:
+    vertices, faces = NOISY
+    report = check_path(_laid_on_a_wall(tmp_path / "a", vertices, faces))
+    assert report.facts is not None and report.facts.tilt_deg == pytest.approx(90.0, abs=0.5)
+    _, mended = fix_scene(report, tmp_path / "b", Fix())
+    assert mended.facts is not None and mended.facts.tilt_deg < 0.5
+    assert mended.facts.size[2] == pytest.approx(2.4, abs=0.1)
+
+
+def test_an_empty_room_that_a_levelling_laid_on_a_wall_is_stood_up_as_its_file_has_it(tmp_path: Path) -> None:
+    corners, quads = room(furniture=False)
+    _, mended = fix_scene(check_path(_laid_on_a_wall(tmp_path / "a", corners, triangles(quads))), tmp_path / "b", Fix())
+    assert mended.facts is not None and mended.facts.size[2] == pytest.approx(2.5, abs=0.01)
+
+
+def test_islands_that_a_sloping_floor_hid_do_not_keep_it_from_being_levelled() -> None:
+    facts = check_facts(tilt_deg=1.2)
+    before = Report((Finding("not-level", "warning", "the floor is 1.20 degrees out of level"),), facts)
+    fresh = Finding("islands", "warning", "the free floor at z = 0.00 m is in 3 pieces")
+    assert made_worse(before, Report((fresh,), check_facts(tilt_deg=0.1))) == []
+    assert made_worse(Report((), facts), Report((fresh,), check_facts(tilt_deg=0.1))) == [fresh.text]
+    blocked = Finding("no-room", "warning", "no place is free")
+    assert made_worse(before, Report((blocked,), check_facts(tilt_deg=0.1))) == [blocked.text]
+    steep = Report(before.findings, check_facts(tilt_deg=12.0))
+    assert made_worse(steep, Report((blocked,), check_facts(tilt_deg=0.1))) == []
+
+
+def check_facts(tilt_deg: float) -> SceneFacts:
+    """Returns the facts of an empty scene in metres that is so much out of level."""
+    up = (0.0, float(np.sin(np.radians(tilt_deg))), float(np.cos(np.radians(tilt_deg))))
+    return SceneFacts(
+        "t", (0, 0, 0), (4, 4, 2.5), 1, 12, 12, 1, False, (), "z", up, tilt_deg, "m", (0.0,), {}, 0, (), ()
+    )  # fmt: skip
+
+
+def test_floors_ground_and_rooms_are_turned_with_the_scene(tmp_path: Path) -> None:
+    corners, quads = room()
+    write_obj(tmp_path / "room.obj", turned(corners + np.array([0.0, 0.0, 1.0]), 0, 4.0), quads)
+    square = np.array([[-2.0, -1.5, 1.0], [2.0, -1.5, 1.0], [2.0, 1.5, 1.0], [-2.0, 1.5, 1.0]])
+    outline = turned(square, 0, 4.0)
+    z = float(outline[:, 2].mean())
+    polygon = [[round(float(x), 4), round(float(y), 4)] for x, y, _ in outline]
+    (tmp_path / "scene.yaml").write_text(
+        f"name: t\nfloor_z: {z}\nground_z: {z}\nrooms: [{{name: hall, class: corridor, floor: 0, polygon: {polygon}}}]\n"
+        "objects: [{name: room, mesh: room.obj}]\n"
+    )
+    _, mended = fix_scene(check_path(tmp_path), tmp_path / "b", Fix())
+    assert mended.scene is not None
+    assert mended.scene.floors == pytest.approx((1.0,), abs=0.01) and mended.scene.ground_z == pytest.approx(1.0, abs=0.01)
+    (hall,) = mended.scene.rooms
+    np.testing.assert_allclose(hall.polygon, square[:, :2], atol=0.12)

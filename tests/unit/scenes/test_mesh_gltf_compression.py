@@ -113,7 +113,7 @@ def test_a_plain_copy_beside_the_compressed_one_is_taken(tmp_path: Path, monkeyp
 def test_without_the_decoder_it_is_said_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = draco().write(tmp_path / "a.glb")
     monkeypatch.setattr(compression, "find_spec", lambda name: None)
-    with pytest.raises(MeshError, match=r"pip install DracoPy.*gltf-pipeline"):
+    with pytest.raises(MeshError, match=r"pip install DracoPy.*gltf-transform/cli copy in.glb"):
         load_mesh(path, [tmp_path])
 
 

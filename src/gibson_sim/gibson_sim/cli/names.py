@@ -27,15 +27,17 @@ def check_names(config: Any) -> None:
 
 
 def _check_scene(name: str) -> None:
-    """Finds a scene, and looks whether its ``scene.yaml`` is YAML: what it says takes as long to read as the scene takes to load."""
-    path = find_scene(name)
-    file = path / "scene.yaml" if path.is_dir() else path
-    if file.suffix not in (".yaml", ".yml") or not file.is_file():
-        return
-    from gibson_sim.reading import read_yaml_file
+    """Finds a scene, and looks whether its file is YAML or XML: what it says takes as long to read as the scene takes to load."""
+    from gibson_sim.reading import parse_xml, read_file, read_yaml_file
+    from gibson_sim.scenes.load import description_file
 
+    path = find_scene(name)
+    file = description_file(path)
     try:
-        read_yaml_file(file)
+        if file.suffix in (".yaml", ".yml"):
+            read_yaml_file(file)
+        elif file.suffix.lower() in (".sdf", ".world"):
+            parse_xml(read_file(file))
     except TextError as error:
         raise SceneError(f"{file}: {error}") from error
     except OSError as error:

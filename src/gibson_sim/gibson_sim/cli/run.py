@@ -13,6 +13,7 @@ from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.client_config import DriveConfig, RecordConfig, SnapshotConfig
 from gibson_sim.config import PhysicsConfig, RenderConfig
 from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
 
 _OF_ONE_ROBOT = ("clock", "tf", "odom", "ground_truth/odom", "joint_states", STATE_TOPIC)
 """Topics that are sure to be there, whatever the robot has."""
@@ -159,6 +160,6 @@ def _new_file(name: str | None) -> Path | None:
     if name is None:
         return None
     path = Path(name)
-    if path.suffix.lower() not in (".mp4", ".webm"):
-        raise ConfigError(f"--video {name}: the name must end in .mp4 or .webm")
+    if path.suffix.lower() != ".mp4":
+        raise ConfigError(f"--video {quoted(name)}: the name must end in .mp4; other kinds of video are not written")
     return path

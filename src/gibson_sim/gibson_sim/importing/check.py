@@ -13,7 +13,7 @@ from gibson_sim.errors import GibsonSimError, SceneError
 from gibson_sim.geometry.triangles import areas_of, unit_normals
 from gibson_sim.importing.carried import is_begun, missing, out_of_date
 from gibson_sim.importing.document import ASSETS
-from gibson_sim.importing.facts import Geometry, SceneFacts, scene_facts, scene_geometry
+from gibson_sim.importing.facts import Geometry, SceneFacts, former_up, scene_facts, scene_geometry
 from gibson_sim.importing.faults import MeshFaults, find_faults
 from gibson_sim.importing.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, UNITS, UpGuess, direction_text, guess_up
 from gibson_sim.importing.islands import islands
@@ -98,7 +98,7 @@ def check_scene(scene: SceneSpec) -> Report:
         MeshError: a mesh cannot be read.
     """
     geometry = scene_geometry(scene)
-    guess = guess_up(geometry.vertices, geometry.triangles)
+    guess = guess_up(geometry.vertices, geometry.triangles, former_up(scene))
     facts = scene_facts(scene, geometry, guess)
     findings = [
         *_orientation(facts, guess), *_unit(facts), *_meshes(geometry), *_textures(facts), *_floor(scene, geometry, facts), *_starts(scene, facts),

@@ -11,14 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
-from gibson_sim.importing.gravity import UpGuess, direction_text, guess_unit, guess_up
+from gibson_sim.importing.gravity import ON_ITS_SIDE_DEG, UpGuess, direction_text, guess_unit, guess_up
 from gibson_sim.robots.spec import VisualSpec
 from gibson_sim.scenes.mesh import MeshLoader, scene_roots
 from gibson_sim.scenes.mesh_types import Mesh, TextureSource, merge
 from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.types import Vec3
 
 F64 = NDArray[np.float64]
 _MOST_LISTED = 12
+_SAME_TURN = 1e-6
+"""Entries of rotation matrices that differ by more are of two turns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +144,7 @@ def scene_facts(scene: SceneSpec, geometry: Geometry | None = None, up: UpGuess 
         MeshError: a mesh cannot be read.
     """
     g = geometry or scene_geometry(scene)
-    guess = up or guess_up(g.vertices, g.triangles)
+    guess = up or guess_up(g.vertices, g.triangles, former_up(scene))
     low, high = (g.vertices.min(axis=0), g.vertices.max(axis=0)) if len(g.vertices) else (np.zeros(3), np.zeros(3))
     loader = MeshLoader(scene_roots(scene), textures=False)
     materials = {p.material for _, m in g.meshes for p in m.parts}
@@ -159,6 +162,15 @@ def scene_facts(scene: SceneSpec, geometry: Geometry | None = None, up: UpGuess 
         floors=tuple(scene.floors), classes=classes, bodies=len(scene.bodies), starts=tuple(s.name for s in scene.starts),
         warnings=tuple(map(str, scene.warnings)),
     )  # fmt: skip
+
+
+def former_up(scene: SceneSpec) -> Vec3 | None:
+    """Returns where z of the meshes points, unit vector, if one turn lays all of them over, as levelling does; else None."""
+    turns = np.array([matrix_from_pose(visual.pose)[:3, :3] for visual in scene.visuals])
+    if not len(turns) or np.abs(turns - turns[0]).max() > _SAME_TURN:
+        return None
+    x, y, z = turns[0, :, 2].tolist()
+    return (x, y, z) if z < np.cos(np.radians(ON_ITS_SIDE_DEG)) else None
 
 
 def textures_of(meshes: Sequence[Mesh]) -> list[TextureSource]:

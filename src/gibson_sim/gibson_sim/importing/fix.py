@@ -13,21 +13,30 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import matrix_from_pose
+from gibson_sim.geometry.triangles import areas_of, unit_normals
 from gibson_sim.importing.check import MAX_SIDE, NEED_UPRIGHT, Report, check_path, left_out
 from gibson_sim.importing.document import SIMPLIFIED, ImportedObject, ImportedScene, write_scene
+from gibson_sim.importing.facts import former_up
 from gibson_sim.importing.faults import find_faults
-from gibson_sim.importing.gravity import ALIGNED_DEG, guess_up, level_near, rotation_to_z
+from gibson_sim.importing.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, guess_up, level_near, rotation_to_z
 from gibson_sim.importing.importers import UNSEEN, assigned, light_document
 from gibson_sim.importing.labels import some_triangles
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.spec import Shape
 from gibson_sim.scenes.mesh import MeshLoader, scene_roots
 from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart, TextureSource
+from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.scenes.textures import decode_image
 from gibson_sim.types import Pose, Vec3
 
 F64 = NDArray[np.float64]
+TOLD_DEG = 2.0
+"""A map of a scene that is more out of level tells nothing."""
+_LEVEL = 0.95
+"""Of a normal's z, from which a triangle is level."""
+_SNAP = 0.3
+"""A floor is looked for this near to where turning takes it, metres."""
 MOST_PIXELS = 16384 * 16384
 """An image with more is not even opened to make it smaller."""
 
@@ -68,14 +77,21 @@ def fix_scene(report: Report, output: Path, fix: Fix) -> tuple[Path, Report]:
     matrix = np.eye(4)
     if fix.level:
         g = report.geometry
-        up = guess_up(g.vertices, g.triangles).up if fix.up is None else level_near(g.vertices, g.triangles, fix.up)
+        up = (
+            guess_up(g.vertices, g.triangles, former_up(scene)).up
+            if fix.up is None
+            else level_near(g.vertices, g.triangles, fix.up)
+        )
         matrix[:3, :3] = rotation_to_z(up)
     matrix[:3, :3] *= fix.unit_m or 1.0
     textures = _Textures(fix.max_texture)
     out = ImportedScene(scene.name, "mended scene", scene.root)
     moved = not np.allclose(matrix, np.eye(4), atol=1e-6)
-    if not moved:
-        out.floors, out.ground_z, out.rooms = scene.floors, scene.ground_z, scene.rooms
+    if matrix[2, 2] >= np.cos(np.radians(ON_ITS_SIDE_DEG)) * (fix.unit_m or 1.0):
+        # What lay on its side had no heights, and no rooms seen from above.
+        out.floors, out.ground_z, out.rooms = (
+            (scene.floors, scene.ground_z, scene.rooms) if not moved else _turned_floors(report, matrix)
+        )
     out.light, out.gravity = light_document(scene.light), None if scene.gravity == (0.0, 0.0, -9.81) else scene.gravity
     out.starts = [_start(s.name, s.pose, matrix) for s in scene.starts]
     out.objects = list(_objects(scene, matrix, textures))
@@ -95,18 +111,63 @@ def fix_scene(report: Report, output: Path, fix: Fix) -> tuple[Path, Report]:
 def made_worse(before: Report, after: Report) -> list[str]:
     """Returns what is wrong with a mended copy and was not wrong with the scene; what could not be told of the scene does not count."""
     known = {f.what for f in before.findings if f.level != "note"}
-    told = before.facts is not None and before.facts.upright and before.facts.unit == "m"
-    fresh = [f for f in after.findings if f.level != "note" and f.what not in known and (told or f.what not in NEED_UPRIGHT)]
+    told = before.facts is not None and before.facts.upright and before.facts.unit == "m" and before.facts.tilt_deg <= TOLD_DEG
+    # A map of a floor that slopes does not show islands.
+    hidden = {"islands"} if "not-level" in known else set()
+    fresh = [
+        f for f in after.findings if f.level != "note" and f.what not in known | hidden and (told or f.what not in NEED_UPRIGHT)
+    ]
     out = [f.text for f in fresh]
     for what in known & NEED_UPRIGHT if told else ():
         counts = [sum(f.what == what and f.level != "note" for f in r.findings) for r in (before, after)]
         if counts[1] > counts[0]:
             out.append(f"{what}: {counts[1]} times, {counts[0]} before")
-    if told and after.facts is not None and before.facts is not None and "not-level" in known:
+    if after.facts is not None and before.facts is not None and "not-level" in known:
         tilts = before.facts.tilt_deg, after.facts.tilt_deg
         if tilts[1] > tilts[0] + ALIGNED_DEG:
             out.append(f"the floor is {tilts[1]:.2f} degrees out of level, {tilts[0]:.2f} before")
     return out
+
+
+def _turned_floors(report: Report, matrix: F64) -> tuple[tuple[float, ...], float | None, tuple[RoomSpec, ...]]:
+    """Returns the heights of floors, the ground and the rooms of a scene in the mended world."""
+    scene, g = report.scene, report.geometry
+    if scene is None or g is None:
+        return (), None, ()
+    low, high = g.vertices.min(axis=0), g.vertices.max(axis=0)
+
+    def height(z: float, places: Sequence[tuple[float, float]]) -> float:
+        x, y = np.mean(places, axis=0) if len(places) else (low + high)[:2] / 2
+        return float((matrix @ (x, y, z, 1.0))[2])
+
+    corners = (g.vertices @ matrix[:3, :3].T)[g.triangles]
+    level = np.abs(unit_normals(corners)[:, 2]) > _LEVEL
+    heights, areas = corners[level, :, 2].mean(axis=1), areas_of(corners[level])
+    floors = []
+    for number, z in enumerate(scene.floors):
+        inside = [place for room in scene.rooms if room.floor == number for place in room.polygon]
+        stands = [(s.pose.position[0], s.pose.position[1]) for s in scene.starts if abs(s.pose.position[2] - z) < _SNAP]
+        floors.append(_level_height(height(z, inside or stands), heights, areas))
+    rooms = []
+    for room in scene.rooms:
+        z = scene.floors[min(room.floor, len(scene.floors) - 1)]
+        polygon = tuple((float(p[0]), float(p[1])) for p in (matrix @ (x, y, z, 1.0) for x, y in room.polygon))
+        rooms.append(replace(room, polygon=polygon))
+    ground = None if scene.ground_z is None else height(scene.ground_z, [])
+    if ground is not None:
+        # Ground that lies at a floor stays there.
+        ground = next((new for new, old in zip(floors, scene.floors, strict=True) if abs(old - scene.ground_z) < 1e-6), ground)  # type: ignore[operator]
+    return tuple(sorted(floors)), ground, tuple(rooms)
+
+
+def _level_height(about: float, heights: F64, areas: F64) -> float:
+    """Returns the middle, by area, of level surfaces about a height; that height where there are none."""
+    near = np.abs(heights - about) <= _SNAP
+    if not near.any():
+        return about
+    order = np.argsort(heights[near])
+    sums = np.cumsum(areas[near][order])
+    return float(heights[near][order][int(np.searchsorted(sums, sums[-1] / 2))])
 
 
 def _start(name: str, pose: Pose, matrix: F64) -> dict[str, object]:

@@ -34,6 +34,8 @@ _UPRIGHT_DEG = 2.0
 """What is this near to the scene's z is up unless another direction surely is."""
 _TILTED = ((5.0, 30.0), (ON_ITS_SIDE_DEG, 4.5))
 """Angle to z, degrees, and odds for a direction within it: scans are held nearly upright more often than not."""
+_TURNED_ODDS = 30.0
+"""Odds for z of a mesh that a pose turned, and for its z before."""
 _ALONG_DEG, _ALONG_ODDS = 2.0, 2.5
 """The same for directions along x or y: files differ in which axis is up."""
 _NEAR_GIVEN_DEG = 10.0
@@ -71,7 +73,7 @@ class UpGuess:
         return names[int(np.abs(self.up).argmax())]
 
 
-def guess_up(vertices: F64, triangles: NDArray[np.integer]) -> UpGuess:
+def guess_up(vertices: F64, triangles: NDArray[np.integer], former: Vec3 | None = None) -> UpGuess:
     """Returns which way is up, and whether that is sure.
 
     All directions are looked at. A mesh that is upright already stays so unless another direction surely is up; one that is a little
@@ -81,11 +83,18 @@ def guess_up(vertices: F64, triangles: NDArray[np.integer]) -> UpGuess:
     Args:
         vertices: (V, 3).
         triangles: (F, 3).
+        former: where z of the mesh pointed before a pose turned it, unit vector; None = it was not turned. Whoever turned it may have
+            taken a wall for the floor, and so its z is good evidence, but no more than that.
     """
     patches = _patches(vertices, triangles)
     found = [] if patches is None else find_candidates(patches)
     if not found:
         return UpGuess((0.0, 0.0, 1.0), True)
+    guess = _guess(found)
+    return guess if former is None or (guess.sure and guess.tilt_deg > _UPRIGHT_DEG) else _guess_turned(found, former)
+
+
+def _guess(found: Sequence[Candidate]) -> UpGuess:
     best = found[0]
     upright = max(found, key=lambda c: c.up[2])
     tilt = _degrees(upright.up[2])
@@ -98,6 +107,19 @@ def guess_up(vertices: F64, triangles: NDArray[np.integer]) -> UpGuess:
         return UpGuess(best.up, True)
     nearly = _TILTED[0][1] * upright.chance > best.chance * _SURE / (1.0 - _SURE)
     return UpGuess(upright.up, True) if tilt <= _UPRIGHT_DEG or (tilt <= _TILTED[0][0] and nearly) else _unclear(found)
+
+
+def _guess_turned(found: Sequence[Candidate], former: Vec3) -> UpGuess:
+    """Returns which way is up in a mesh that a pose turned: z, the former z, or what surely is."""
+    oblique = max(abs(c) for c in former) < math.cos(math.radians(_ALONG_DEG))
+    weights = []
+    for candidate in found:
+        is_z = _degrees(candidate.up[2]) <= _UPRIGHT_DEG
+        is_former = oblique and _degrees(sum(a * b for a, b in zip(candidate.up, former, strict=True))) <= _TILTED[0][0]
+        weights.append(candidate.chance * (_TURNED_ODDS if is_z or is_former else 1.0))
+    k = int(np.argmax(weights))
+    likely = weights[k] > found[k].chance
+    return UpGuess(found[k].up, True) if weights[k] >= _SURE * sum(weights) and (likely or _agree(found[k])) else _unclear(found)
 
 
 def _unclear(found: Sequence[Candidate]) -> UpGuess:

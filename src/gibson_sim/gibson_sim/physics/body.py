@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -244,13 +245,23 @@ def read_hulls(model: UrdfModel) -> None:
                 hull_of(shape)
 
 
-@lru_cache(maxsize=256)
 def hull_of(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Returns corners (N, 3) and triangles (T, 3), outward, of the convex hull of a mesh under its scale.
+    """Returns corners (N, 3) and triangles (T, 3), outward, of the convex hull of a mesh under its scale; a file that changed is read anew.
 
     Raises:
         MeshError: the mesh cannot be read, or is flat.
     """
+    try:
+        state = os.stat(shape.mesh)
+    except (OSError, ValueError):
+        return _hull(shape, ())
+    return _hull(shape, (state.st_ino, state.st_size, state.st_mtime_ns))
+
+
+@lru_cache(maxsize=256)
+def _hull(shape: Shape, version: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Returns the hull of a version of a file."""
+    del version
     vertices, _ = load_shape(shape).merged()
     try:
         hull = ConvexHull(vertices)

@@ -105,8 +105,10 @@ class PhysicsWorld(ArmCommands):
         except BaseException:
             self._bullet.close()
             raise
+        said = {warning for robot in self._robots.values() for warning in robot.model.warnings}  # by whoever loaded them
         for warning in self.warnings:
-            logger.warning("%s", warning)
+            if warning not in said:
+                logger.warning("%s", warning)
 
     @property
     def links(self) -> tuple[str, ...]:

@@ -407,7 +407,7 @@ class _Reader:
         if source is None:
             ktx = "KHR_texture_basisu" in texture.get("extensions", {})
             what = "is KTX2, which is not read" if ktx else "has a format that cannot be read"
-            remedy = "; make it PNG: npx @gltf-transform/cli ktxdecompress in.glb out.glb" if ktx else ""
+            remedy = "; make it PNG: npx @gltf-transform/cli ktxdecompress in.glb out.glb (needs KTX-Software)" if ktx else ""
             text = f"{self.path}: texture {index} {what}; the surface is drawn without it{remedy}"
             self.warn(Omission(text, OmissionKind.UNSUPPORTED_ASSET))
             return None

@@ -23,7 +23,7 @@ MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 MAX_DECODED_BYTES = 2**30
 """Of one file."""
 _TIMEOUT_S = 120.0
-_BY_HAND = "export the file without it, or convert it: npx gltf-pipeline -i in.glb -o out.glb"
+_BY_HAND = "export the file without it, or convert it: npx @gltf-transform/cli copy in.glb out.glb"
 _FILTERS = {"NONE": (), "OCTAHEDRAL": (4, 8), "QUATERNION": (8,), "EXPONENTIAL": tuple(range(4, 257, 4))}
 """Filter -> strides, bytes, that it is for; empty = any."""
 
