@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 
 try:
     from numba import config, njit
+    from numba.core import event
 except ImportError:
     njit = None  # type: ignore[assignment]
 
@@ -17,6 +20,43 @@ Number = TypeVar("Number", bound=np.generic)
 Function = TypeVar("Function", bound=Callable[..., Any])
 CAN_COMPILE: bool = njit is not None and not config.DISABLE_JIT  # type: ignore[attr-defined]
 """Whether ``compiled`` compiles. If not, NumPy is far quicker than loops: callers have the same in NumPy, which must give equal results."""
+
+
+def _hold_interrupts_back() -> None:
+    """Lets Ctrl-C interrupt what compiles only between compilations: in the middle of one it ends in a stack or a segmentation fault."""
+    depth, handler, kept = 0, None, False
+
+    def keep(*_: object) -> None:
+        nonlocal kept
+        kept = True
+
+    class Compilations(event.Listener):
+        """Hears of every compilation, in the thread that compiles."""
+
+        def on_start(self, event: Any) -> None:
+            nonlocal depth, handler, kept
+            if threading.current_thread() is not threading.main_thread():
+                return
+            depth += 1
+            if depth == 1 and callable(signal.getsignal(signal.SIGINT)):
+                kept, handler = False, signal.signal(signal.SIGINT, keep)
+
+        def on_end(self, event: Any) -> None:
+            nonlocal depth, handler
+            if threading.current_thread() is not threading.main_thread():
+                return
+            depth -= 1
+            if depth == 0 and handler is not None:
+                signal.signal(signal.SIGINT, handler)
+                handler = None
+                if kept:
+                    signal.raise_signal(signal.SIGINT)
+
+    event.register("numba:compile", Compilations())  # type: ignore[no-untyped-call]
+
+
+if CAN_COMPILE:
+    _hold_interrupts_back()
 
 
 def compiled(function: Function) -> Function:
