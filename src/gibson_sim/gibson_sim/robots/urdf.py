@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from gibson_sim.errors import RobotError, TextError
-from gibson_sim.quoting import quoted
+from gibson_sim.quoting import clipped, quoted
 from gibson_sim.reading import parse_xml, read_file
 from gibson_sim.robots.mesh_files import resolve_mesh
 from gibson_sim.robots.mimic import Mimic, leaders
@@ -28,6 +28,8 @@ __all__ = [
     "JOINT_TYPES", "FindMesh", "Inertial", "UrdfCollision", "UrdfJoint", "UrdfLink", "UrdfModel", "UrdfVisual", "parse_urdf", "read_urdf",
 ]  # fmt: skip
 
+_MOST_NAMED, _LONGEST_NAME = 8, 40
+"""Links that a message names, and characters of each."""
 _MOST_FRICTION = 1.5
 """Of what a file tells Gazebo: wheels there often have 100 or more."""
 FindMesh = Callable[[str, Path], Path | None]
@@ -125,7 +127,10 @@ class _Reader(XmlValues):
         if not roots:
             raise RobotError(f"{self.path}: has no root link: the joints form a cycle; one link must be no joint's child")
         if len(roots) > 1:
-            raise RobotError(f"{self.path}: has {len(roots)} root links ({', '.join(roots)}); join them so that one is left")
+            named = ", ".join(clipped(name, _LONGEST_NAME) for name in roots[:_MOST_NAMED]) + (
+                ", ..." if len(roots) > _MOST_NAMED else ""
+            )
+            raise RobotError(f"{self.path}: has {len(roots)} root links ({named}); join them so that one is left")
         order: list[str] = []
         stack = [roots[0]]
         while stack:
