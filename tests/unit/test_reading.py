@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import time
@@ -15,6 +16,7 @@ from gibson_sim.errors import TextError
 from gibson_sim.quoting import clipped, quoted
 from gibson_sim.reading import (
     MAX_DEPTH,
+    MAX_XML_ATTRIBUTES,
     MAX_XML_DEPTH,
     MAX_XML_TAGS,
     MAX_YAML_BYTES,
@@ -63,7 +65,13 @@ def test_plain_yaml_is_read_as_pyyaml_reads_it(root: Path) -> None:
         ("a: 1\nb: 2\na: 3", "line 3, column 1: key 'a' is there twice"),
         ("x: 1\n---\ny: 2", "second document"),
         ("day: 2026-99-99", "month must be in 1..12"),
-        ("x: " + "9" * 5000, "is not YAML"),
+        ("x: " + "9" * 5000, "a number has 5000 characters, must have at most 200"),
+        ("x: 0x" + "f" * 300, "a number has 302 characters"),
+        ("0b" + "1" * 300 + ": x", "a number has 302 characters"),
+        ("x: 1" + ":59" * 400_000, "a number has 1200001 characters"),
+        ("x: 1" + ":59" * 400_000 + ".5", "a number has 1200003 characters"),
+        ("x: 1" + "_" * 300 + "1", "a number has 302 characters"),
+        ('x: "a\\0b"', "a text holds a NUL"),
         ('x: !!int ""', "is not YAML"),
         ("x: !!python/object/apply:os.system [ls]", "is not YAML"),
         ("? [a]\n: b", "unhashable"),
@@ -120,6 +128,8 @@ def test_texts_of_the_outermost_mapping_are_read_without_the_rest(text: bytes, f
         (b"<a>" * 1000 + b"</a>" * 1000, f"over more than {MAX_XML_DEPTH} levels"),
         (b'<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "XML entities"),
         ('<?xml version="1.0" encoding="UTF-16"?><!DOCTYPE a [<!ENTITY b "c">]><a/>'.encode("utf-16"), "XML entities"),
+        (b'<!DOCTYPE a [<!ATTLIST b c CDATA "d">]><a><b/></a>', "defaults of attributes"),
+        (b"<a " + b"b='' " * (MAX_XML_ATTRIBUTES + 1) + b"/>", f"must have at most {MAX_XML_ATTRIBUTES}"),
         (b"<a><b></a>", "is no well-formed XML"),
         (b'<?xml version="1.0" encoding="x"?><a/>', "is no well-formed XML"),
     ],
@@ -128,6 +138,19 @@ def test_xml_that_means_harm_is_refused(text: bytes, reason: str) -> None:
     with pytest.raises(TextError, match=re.escape(reason)) as error:
         parse_xml(text)
     assert error.value.public
+
+
+def test_longest_numbers_of_yaml_fit_into_a_float() -> None:
+    for text in ("9" * 200, "0x" + "f" * 198, "1" + ":59" * 66):
+        assert math.isfinite(float(parse_yaml(text)))
+
+
+def test_folders_are_listed_beside_a_deep_description() -> None:
+    def refused() -> None:
+        with pytest.raises(TextError, match=f"over more than {MAX_DEPTH} levels"):
+            yaml_texts(b"a: " + b"[" * 250_000, ("name",))
+
+    assert _cpu_s(refused) < 1.0, "libyaml takes minutes"
 
 
 def test_millions_of_elements_are_refused_unread() -> None:

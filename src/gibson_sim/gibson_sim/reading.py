@@ -28,10 +28,15 @@ MAX_DEPTH = 100
 """Levels of lists and mappings of a YAML text."""
 MAX_XML_TAGS = 300_000
 """Of an XML text; an element has one or two."""
+MAX_XML_ATTRIBUTES = 500_000
+"""Of an XML text."""
 MAX_XML_DEPTH = 200
 YAML_LOADER: type = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """The parser of libyaml, where PyYAML was built with it, takes a tenth of the time."""
 _LONGEST_REASON = 200
+_LONGEST_NUMBER = 200
+"""Characters of a number of YAML: whatever its base, it fits into a float."""
+_NUMBERS = frozenset(f"tag:yaml.org,2002:{kind}" for kind in ("int", "float", "timestamp"))
 _NOTHING = ("~", "null", "Null", "NULL")
 """How YAML writes that there is no value."""
 _MEGA = 2**20
@@ -169,6 +174,8 @@ def yaml_texts(text: bytes, keys: Collection[str]) -> dict[str, str]:
             if isinstance(event, yaml.CollectionStartEvent):
                 key = "" if depth == 1 and count % 2 == 0 else key
                 depth += 1
+                if depth > MAX_DEPTH:  # libyaml looks through all that are open at every further one
+                    raise _too_deep(event)
             elif depth == 1 and isinstance(event, yaml.NodeEvent):
                 scalar = event if isinstance(event, yaml.ScalarEvent) else None
                 value = "" if scalar is None else scalar.value
@@ -197,9 +204,16 @@ def parse_xml(text: bytes) -> ElementTree.Element:
     if tags > MAX_XML_TAGS:
         reason = f"has about {tags} tags of XML, must have at most {MAX_XML_TAGS}; split it"
         raise TextError(reason).telling(reason)
-    if b"<!ENTITY" in (text.replace(b"\0", b"") if b"\0" in text[:4] else text):
-        reason = "defines XML entities, which are not read; write out what they stand for"
+    attributes = text.count(b"=")
+    if attributes > MAX_XML_ATTRIBUTES:
+        reason = f"has about {attributes} attributes of XML, must have at most {MAX_XML_ATTRIBUTES}; split it"
         raise TextError(reason).telling(reason)
+    # Both let a few bytes stand for many: an entity wherever it is named, a default in every element that has no such attribute.
+    plain = text.replace(b"\0", b"") if b"\0" in text[:4] else text
+    for mark, what in ((b"<!ENTITY", "entities"), (b"<!ATTLIST", "defaults of attributes")):
+        if mark in plain:
+            reason = f"defines XML {what}, which are not read; write out what they stand for"
+            raise TextError(reason).telling(reason)
     try:
         top = ElementTree.fromstring(text)
     # A text that says it is UTF-16 is no such thing.
@@ -283,6 +297,11 @@ class _Composer:
             return self._put(*known, event)
         if isinstance(event, yaml.ScalarEvent):
             node: Any = yaml.ScalarNode(self._tag(yaml.ScalarNode, event, event.value), event.value, start, end)
+            if node.tag in _NUMBERS and len(event.value) > _LONGEST_NUMBER:
+                problem = f"a number has {len(event.value)} characters, must have at most {_LONGEST_NUMBER}"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=start)
+            if "\0" in event.value:
+                raise yaml.MarkedYAMLError(problem="a text holds a NUL", problem_mark=start)
             if anchor is not None:
                 self._anchors[anchor] = (node, 1, 0)
             return self._put(node, 1, 0, event)
