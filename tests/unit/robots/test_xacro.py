@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import importlib.util
+import time
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -79,6 +81,51 @@ def test_what_xacro_refuses_is_said_in_one_line(package: Path) -> None:
     with pytest.raises(RobotError, match="xacro refuses it: name 'nothing' is not defined") as error:
         plain_description(path, {})
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.usefixtures("needs_xacro")
+@pytest.mark.parametrize("value", ["${9**9**9}", "${'x' * 10**10}"])
+def test_xacro_that_never_ends_or_wants_all_memory_is_refused(
+    tmp_path: Path, value: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(xacro, "_MODULE", "xacro_in_a_hurry")
+    (tmp_path / "xacro_in_a_hurry.py").write_text(
+        "from gibson_sim.robots import xacro_process\nxacro_process.LIMIT_S = 1\nxacro_process.main()\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    path = tmp_path / "r.xacro"
+    path.write_text(f'<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="{value}"/></robot>')
+    with pytest.raises(RobotError, match=r"r\.xacro: xacro (was not done after|refuses it)"):
+        plain_description(path, {})
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<!-- $(optenv " + "a" * 300_000 + " -->",
+        "<!-- " + "$(optenv a " * 100_000 + " -->",
+        "<!-- $(optenv a" + " " * 300_000 + " -->",
+    ],
+)
+def test_optional_variables_without_an_end_cost_no_time(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "r.urdf"
+    path.write_text(f'<robot name="r"><link name="base"/>{text}</robot>')
+    begin = time.process_time()
+    assert plain_description(path, {}) == path
+    assert time.process_time() - begin < 1.0, "going back over them takes minutes"
+
+
+def test_what_only_looks_like_a_xacro_is_none_and_costs_no_time() -> None:
+    comments = "<!--" * 200_000
+    begin = time.process_time()
+    for text, expected in (
+        (f'<!DOCTYPE robot SYSTEM "{comments}"><robot><!-- <xacro:a/> --></robot>', False),
+        ("<robot><!-- <xacro:a/> --><![CDATA[<xacro:b/>]]><?x <xacro:c/>?></robot>", False),
+        ("<robot><!-- a --><xacro:b/><!-- c --></robot>", True),
+        ("<robot><xacro:b/></robot>", True),
+    ):
+        assert xacro.is_xacro(text, ElementTree.Element("robot")) is expected
+    assert time.process_time() - begin < 1.0, "going back over them takes minutes"
 
 
 def test_arguments_of_what_is_no_xacro_are_refused(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from gibson_sim.errors import SceneNotFoundError
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes import spawning
+from gibson_sim.scenes.builder import class_from_model
 from gibson_sim.scenes.spawning import (
     MAX_PARTS,
     SPAWN_FORMATS,
@@ -564,3 +566,9 @@ def test_values_of_a_gltf_are_counted_before_they_are_read(tmp_path: Path, suffi
     error = _error(str(path))
     assert error.code is CODES.RESOURCE_PARSE_ERROR
     assert "values of JSON, must have at most 2000000" in error.public
+
+
+def test_name_of_a_model_that_means_harm_costs_no_time() -> None:
+    begin = time.process_time()
+    assert len(class_from_model("_1" * 200_000 + "x")) <= 200
+    assert time.process_time() - begin < 1.0, "going back over it takes minutes"

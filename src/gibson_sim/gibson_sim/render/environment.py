@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.colours import linear_from_srgb
 from gibson_sim.reading import read_file
-from gibson_sim.scenes.image_header import MAX_IMAGE_BYTES
+from gibson_sim.scenes.image_header import MAX_IMAGE_BYTES, image_size
+from gibson_sim.scenes.textures import decode_pixels
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
@@ -25,6 +26,8 @@ REFLECTION_LAYERS = 8
 """Layer k is for roughness k / 7."""
 REFLECTANCE_SIZE = 32
 _MAX_WIDTH = 2048
+_MAX_PIXELS = 8192 * 4096
+"""400 MB as floats; of more than this nothing is decoded."""
 _SAMPLES = 128
 _BRIGHTEST = 6e4
 """Half floats end at 65504."""
@@ -37,12 +40,16 @@ def load_environment(path: Path) -> F32:
         SceneError: the file cannot be read, or is no equirectangular image.
     """
     try:
-        data = np.frombuffer(read_file(path, MAX_IMAGE_BYTES), dtype=np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
+        data = read_file(path, MAX_IMAGE_BYTES)
     except OSError as e:
         raise SceneError(f"environment {path}: cannot be read: {e.strerror or e}") from e
-    except cv2.error:
-        image = None
+    size = image_size(data)
+    if size is not None and size.pixels > _MAX_PIXELS:
+        raise SceneError(
+            f"environment {path}: has {size.width} x {size.height} pixels, must have at most {_MAX_PIXELS >> 20} million; scale it down: "
+            f"{_MAX_WIDTH} x {_MAX_WIDTH // 2} are used"
+        )
+    image = decode_pixels(data, cv2.IMREAD_UNCHANGED)
     if image is None:
         raise SceneError(f"environment {path}: is no image that can be read; give a .hdr, .png or .jpg")
     if image.ndim == 2:

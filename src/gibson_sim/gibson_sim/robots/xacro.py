@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import signal
 import subprocess
 import sys
 import tempfile
@@ -17,15 +18,27 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from gibson_sim.errors import RobotError, TextError
+from gibson_sim.quoting import clipped
 from gibson_sim.reading import is_file, parse_xml, read_file
 from gibson_sim.resources import cache_folder
 from gibson_sim.robots.mesh_files import resolve_mesh
+from gibson_sim.robots.xacro_process import LIMIT_S
 
 _XACRO = b"<xacro:"
-_NO_ELEMENTS = re.compile(rb"<!--.*?-->|<!\[CDATA\[.*?\]\]>|<\?.*?\?>", re.DOTALL)
-_OPTIONAL = re.compile(rb"\$\(optenv\s+\w+\s*([^)]*)\)")
-_ARGUMENT = re.compile(rb"""<xacro:arg\s+[^>]*?name\s*=\s*["'](\w+)["']""")
-_TIMEOUT_S = 120.0
+_NO_ELEMENTS = {b"<!--": b"-->", b"<![CDATA[": b"]]>", b"<?": b"?>"}
+"""What holds text that looks like elements: its beginning, and its end."""
+# None of these goes back over what it has read: a file of strangers may be made to let it.
+_NO_ELEMENT = re.compile(b"|".join(re.escape(begin) for begin in _NO_ELEMENTS))
+_OPTIONAL = re.compile(rb"\$\(optenv\s+\w+(?:\s([^()]*))?\)")
+_ARGUMENT = re.compile(rb"<xacro:arg\s([^<>]*)")
+_ARGUMENT_NAME = re.compile(rb"""name\s*=\s*["'](\w+)["']""")
+_TIMEOUT_S = 60.0
+"""Wall time; ``xacro_process`` ends itself after ``LIMIT_S`` of processor time."""
+_MODULE = "gibson_sim.robots.xacro_process"
+"""Program that expands a xacro."""
+_LONGEST_REASON = 1000
+_MOST_SAID = 65536
+"""Bytes of what xacro says that are looked at."""
 _ERRORS = ("error: ", "XML parsing error: ")
 """How xacro begins the line of an error."""
 
@@ -42,7 +55,16 @@ def is_xacro(text: str | bytes, top: ET.Element | None = None) -> bool:
     data = text.encode("utf-8", errors="replace") if isinstance(text, str) else text
     if top is None or _XACRO not in data:
         return _XACRO in data
-    return _XACRO in _NO_ELEMENTS.sub(b"", data)
+    at = 0
+    while (begin := _NO_ELEMENT.search(data, at)) is not None:
+        if _XACRO in data[at : begin.start()]:
+            return True
+        mark = _NO_ELEMENTS[begin[0]]
+        end = data.find(mark, begin.end())
+        if end < 0:
+            return False
+        at = end + len(mark)
+    return _XACRO in data[at:]
 
 
 def with_defaults(text: bytes) -> bytes:
@@ -50,7 +72,7 @@ def with_defaults(text: bytes) -> bytes:
 
     The environment does not count: a robot is the same wherever it runs, and who may spawn robots need not see variables.
     """
-    return _OPTIONAL.sub(rb"\1", text)
+    return _OPTIONAL.sub(lambda found: (found[1] or b"").lstrip(), text)
 
 
 def plain_description(path: Path, arguments: Mapping[str, str]) -> Path:
@@ -101,13 +123,15 @@ def _expanded(path: Path, arguments: Mapping[str, str]) -> bytes:
     words = [str(path.absolute()), *(f"{key}:={value}" for key, value in arguments.items())]
     # Away from the current folder, whose files could stand for modules.
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(os.path.abspath(entry) for entry in sys.path if entry)}
-    command = [sys.executable, "-m", "gibson_sim.robots.xacro_process", *words]
+    command = [sys.executable, "-m", _MODULE, *words]
     try:
         done = subprocess.run(command, env=environment, cwd=os.sep, capture_output=True, timeout=_TIMEOUT_S, check=False)
     except subprocess.TimeoutExpired as error:
         raise RobotError(f"{path}: xacro was not done after {_TIMEOUT_S:g} s; do its macros call each other?") from error
+    if done.returncode == -signal.SIGXCPU:
+        raise RobotError(f"{path}: xacro was not done after {LIMIT_S} s; do its macros call each other?")
     if done.returncode:
-        reason = _reason(done.stderr.decode(errors="replace"))
+        reason = clipped(_reason(done.stderr[-_MOST_SAID:].decode(errors="replace")), _LONGEST_REASON)
         raise RobotError(f"{path}: xacro refuses it: {reason}{_takes(path, arguments, reason)}")
     return done.stdout
 
@@ -115,9 +139,10 @@ def _expanded(path: Path, arguments: Mapping[str, str]) -> bytes:
 def _takes(path: Path, arguments: Mapping[str, str], reason: str) -> str:
     """Returns what to say of arguments that a xacro has and that it was not given; nothing where a package is lacking."""
     try:
-        declared = [match.decode(errors="replace") for match in _ARGUMENT.findall(read_file(path))]
+        found = [_ARGUMENT_NAME.search(argument) for argument in _ARGUMENT.findall(read_file(path))]
     except OSError:
         return ""
+    declared = [name[1].decode(errors="replace") for name in found if name is not None]
     lacking = [name for name in dict.fromkeys(declared) if name not in arguments]
     if not lacking or "package " in reason:
         return ""

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import importlib
+import resource
 import sys
 import types
 from collections.abc import Callable, Iterator
@@ -13,6 +14,10 @@ from pathlib import Path
 
 from gibson_sim.robots.mesh_files import package_folders
 
+LIMIT_S = 20
+"""Processor time that one xacro may take, seconds: ``${9**9**9}`` never ends."""
+LIMIT_BYTES = 2 * 2**30
+"""Of address space: ``${'x' * 10**10}`` asks for more than a machine has."""
 _INDEX = "ament_index_python.packages"
 """Module that xacro asks for the folder of a package."""
 
@@ -48,6 +53,9 @@ def package_finder(file: Path) -> Callable[[str], str]:
 
 def main() -> None:
     """Expands the file named first on the command line."""
+    resource.setrlimit(resource.RLIMIT_CPU, (LIMIT_S, LIMIT_S))
+    resource.setrlimit(resource.RLIMIT_AS, (LIMIT_BYTES, LIMIT_BYTES))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     xacro = importlib.import_module("xacro")
     try:
         index = importlib.import_module(_INDEX)

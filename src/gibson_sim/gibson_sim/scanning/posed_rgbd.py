@@ -18,6 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import GibsonSimError
+from gibson_sim.reading import read_file
+from gibson_sim.scenes.image_header import MAX_IMAGE_BYTES
+from gibson_sim.scenes.textures import decode_pixels
 
 NO_DEPTH = (0, 65535)
 """Values of a 16-bit depth image that mean "no depth": 0 in most sets, 65535 in some."""
@@ -166,16 +169,13 @@ def read_image(path: Path, flags: int) -> NDArray[Any]:
         ScanError: it is missing or broken.
     """
     try:
-        data = np.fromfile(path, dtype=np.uint8)
+        data = read_file(path, MAX_IMAGE_BYTES)
     except OSError as error:
         raise ScanError(f"{path}: cannot be read: {error.strerror or error}") from error
-    try:
-        image = cv2.imdecode(data, flags) if len(data) else None
-    except cv2.error:
-        image = None
+    image = decode_pixels(data, flags)
     if image is None:
         raise ScanError(f"{path}: is no readable image; was the copy or the scan cut short?")
-    return np.asarray(image)
+    return image
 
 
 def check_pose(what: str, T_world_camera: NDArray[np.float64]) -> None:

@@ -30,6 +30,8 @@ from gibson_sim.types import Rgba, Vec3
 F64 = NDArray[np.float64]
 FAR_AWAY = 1e4
 """Metres: whatever stands farther off is a mistake of the file."""
+_LONGEST_CLASS = 200
+"""Characters of a model's name that its class is made of."""
 _UP_FACING = 0.98
 _BIN = 0.02
 
@@ -309,7 +311,7 @@ def class_from_model(name: str) -> str:
     Drops the vendor's prefix, trailing numbers and a trailing variant letter, and turns capitals into words. Nothing is
     guessed beyond that.
     """
-    base = re.sub(r"^aws_robomaker_[a-z]+_", "", name)
+    base = re.sub(r"^aws_robomaker_[a-z]+_", "", name[:_LONGEST_CLASS])
     base = re.sub(r"([_\- ]\d+)+$", "", base)
     base = re.sub(r"(?<=[a-z])[A-Z]$", "", base)
     base = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", base)

@@ -11,6 +11,8 @@ MAX_PIXELS = 8192 * 8192
 
 MAX_IMAGE_BYTES = 512 * 2**20
 """Of the file of an image."""
+_MOST_SEGMENTS = 10_000
+"""Of a JPEG before its size; one of fill bytes alone would be looked through byte by byte."""
 _JPEG_SIZES = {0xC0, 0xC1, 0xC2, 0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF}
 _PNG_CHANNELS = {0: 3, 2: 3, 3: 4, 4: 4, 6: 4}
 _PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*(\d+)\s+(\d+)")
@@ -72,7 +74,9 @@ def _size(data: bytes) -> ImageSize | None:
 
 def _jpeg(data: bytes) -> ImageSize | None:
     at = 2
-    while at + 9 < len(data):
+    for _ in range(_MOST_SEGMENTS):
+        if at + 9 >= len(data):
+            return None
         if data[at] != 0xFF:
             return None
         marker = data[at + 1]

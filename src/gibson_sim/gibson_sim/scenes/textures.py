@@ -6,7 +6,7 @@ import copy
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 from urllib.parse import unquote
 
 import cv2
@@ -154,14 +154,28 @@ class TextureStore:
         return images[0] if len(images) == 1 and mesh.suffix.lower() == ".obj" else None
 
 
-def decode_image(data: bytes) -> NDArray[np.uint8] | None:
-    """Returns (H, W, 3) RGB or (H, W, 4) RGBA uint8 of an image file's bytes, or None if they are none."""
-    if not data:
+def decode_pixels(data: bytes, flags: int) -> NDArray[Any] | None:
+    """Returns what OpenCV makes of an image file's bytes, or None if they are none, or hold more than ``MAX_PIXELS``.
+
+    A few KB of PNG may stand for gigabytes: its header is read first.
+
+    Args:
+        data: of a file, or of a message.
+        flags: ``cv2.IMREAD_...``.
+    """
+    size = image_size(data)
+    if size is None or size.pixels > MAX_PIXELS:
         return None
     try:
-        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
     except cv2.error:
         return None
+    return None if image is None else np.asarray(image)
+
+
+def decode_image(data: bytes) -> NDArray[np.uint8] | None:
+    """Returns (H, W, 3) RGB or (H, W, 4) RGBA uint8 of an image file's bytes, or None if they are none."""
+    image = decode_pixels(data, cv2.IMREAD_UNCHANGED)
     if image is None:
         return None
     if image.dtype == np.uint16:

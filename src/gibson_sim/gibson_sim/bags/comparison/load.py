@@ -29,6 +29,7 @@ from gibson_sim.bags.reader import BagReader, TopicInfo, image_to_array
 from gibson_sim.bags.stamps import header_stamp_ns, stamp_ns
 from gibson_sim.errors import RecordError
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, yaw_from_quat
+from gibson_sim.scenes.textures import decode_pixels
 from gibson_sim.types import Pose
 
 MOST_PICTURES = 200
@@ -288,7 +289,7 @@ def _in_order(rows: list[Any], begin: int) -> tuple[F64, F64]:
 def _rgb(msg: Any) -> NDArray[np.uint8] | None:
     """Returns the picture as RGB; None = it cannot be read, or it is no colour image."""
     if hasattr(msg, "format"):
-        bgr = cv2.imdecode(np.frombuffer(msg.data, dtype=np.uint8), cv2.IMREAD_COLOR)
+        bgr = decode_pixels(bytes(msg.data), cv2.IMREAD_COLOR)
         return None if bgr is None else np.asarray(bgr[:, :, ::-1])
     try:
         pixels = image_to_array(msg)

@@ -14,6 +14,7 @@ from gibson_sim.bags.reader import BagReader, image_to_array
 from gibson_sim.bags.stamps import header_stamp_ns, stamp_ns
 from gibson_sim.errors import RecordError
 from gibson_sim.quoting import quoted
+from gibson_sim.scenes.textures import decode_pixels
 
 IMAGE, COMPRESSED, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
 Kind = Literal["color", "depth", "labels", "vectors"]
@@ -133,7 +134,7 @@ def _stream(bag: BagReader, topic: str, type_name: str) -> Stream | str:
     if type_name == COMPRESSED:
         if topic.endswith("/compressedDepth"):
             return "depth is exported from raw images alone; record the topic without /compressedDepth"
-        pixels = cv2.imdecode(np.frombuffer(msg.data, np.uint8), cv2.IMREAD_COLOR)
+        pixels = decode_pixels(bytes(msg.data), cv2.IMREAD_COLOR)
         if pixels is None:
             return f"its format {quoted(msg.format)} is neither JPEG nor PNG"
         suffix = "png" if bytes(msg.data[:4]) == b"\x89PNG" else "jpg"
@@ -247,7 +248,10 @@ class Picture:
     def bgr(self) -> NDArray[np.uint8]:
         """Returns a colour image, (H, W, 3) uint8, blue first."""
         if self.stream.type_name == COMPRESSED:
-            return np.asarray(cv2.imdecode(np.frombuffer(self.message.data, np.uint8), cv2.IMREAD_COLOR), dtype=np.uint8)
+            decoded = decode_pixels(bytes(self.message.data), cv2.IMREAD_COLOR)
+            if decoded is None:
+                raise RecordError(f"{self.stream.topic}: an image is neither JPEG nor PNG, or is broken; leave the topic out")
+            return np.asarray(decoded, dtype=np.uint8)
         pixels = image_to_array(self.message)
         code = _TO_BGR.get(self.stream.encoding)
         return np.asarray(pixels if code is None else cv2.cvtColor(pixels, code), dtype=np.uint8)

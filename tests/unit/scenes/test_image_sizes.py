@@ -1,0 +1,63 @@
+"""Images of strangers: what their first bytes say decides whether anything is decoded."""
+
+from __future__ import annotations
+
+import os
+import resource
+import struct
+import time
+import zlib
+from pathlib import Path
+
+import cv2
+import pytest
+
+from gibson_sim.errors import SceneError
+from gibson_sim.render.environment import load_environment
+from gibson_sim.scanning.posed_rgbd import ScanError, read_image
+from gibson_sim.scenes.image_header import image_size
+from gibson_sim.scenes.textures import decode_pixels
+from support.gltf import png
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def _bomb(width: int, height: int) -> bytes:
+    """Returns a grey PNG: a few KB for every gigabyte of pixels."""
+    packer = zlib.compressobj(9)
+    rows = b"".join(packer.compress(bytes(1 + width)) for _ in range(height)) + packer.flush()
+    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + _chunk(b"IHDR", head) + _chunk(b"IDAT", rows) + _chunk(b"IEND", b"")
+
+
+def test_image_that_holds_too_many_pixels_is_not_decoded(tmp_path: Path) -> None:
+    bomb = _bomb(16384, 8192)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert decode_pixels(bomb, cv2.IMREAD_COLOR) is None
+    (tmp_path / "sky.png").write_bytes(bomb)
+    with pytest.raises(SceneError, match=r"sky\.png: has 16384 x 8192 pixels, must have at most 32 million"):
+        load_environment(tmp_path / "sky.png")
+    with pytest.raises(ScanError, match="no readable image"):
+        read_image(tmp_path / "sky.png", cv2.IMREAD_COLOR)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100 * 1024, "decoded it takes 128 MB"
+
+
+def test_image_within_the_limits_is_decoded() -> None:
+    pixels = decode_pixels(png((7, 8, 9)), cv2.IMREAD_COLOR)
+    assert pixels is not None
+    assert pixels.tolist() == [[[9, 8, 7]]]
+    assert decode_pixels(b"", cv2.IMREAD_COLOR) is None
+
+
+def test_jpeg_of_fill_bytes_takes_no_time() -> None:
+    begin = time.process_time()
+    assert image_size(b"\xff\xd8" + b"\xff" * 50_000_000) is None
+    assert time.process_time() - begin < 1.0, "byte by byte it takes 15 s"
+
+
+def test_pipe_in_place_of_an_image_of_a_scan_is_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "frame.png")
+    with pytest.raises(ScanError, match="is no regular file"):
+        read_image(tmp_path / "frame.png", cv2.IMREAD_COLOR)
