@@ -166,6 +166,14 @@ class PhysicsConfig:
     on_timeout: str = setting(
         "stop", "What happens then: end the run, or go on without that participant's answer", choices=("stop", "go_on")
     )
+    image_timeout: float = setting(
+        5.0,
+        "With rate 0 and without lockstep, time waits for images that have subscribers; timeout of a tick, seconds of wall time. "
+        "0 = time does not wait, and images are skipped",
+        unit="s",
+        minimum=0.0,
+        maximum=86_400.0,
+    )
     digests: bool = setting(False, "Publish a number of all that each tick holds, on `tick_digest`, to compare runs by")
     wait_for: str = setting(
         "",

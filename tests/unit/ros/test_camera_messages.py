@@ -9,8 +9,9 @@ require("rclpy", "gibson_msgs")
 import pytest  # noqa: E402
 
 from gibson_sim.config import RenderConfig  # noqa: E402
+from gibson_sim.ros import names  # noqa: E402
 from gibson_sim.ros.camera_messages import COMPRESSED, COMPRESSED_DEPTH, POINTS, CameraMessages  # noqa: E402
-from gibson_sim.types import CameraSpec  # noqa: E402
+from gibson_sim.types import OUTPUTS, CameraSpec  # noqa: E402
 
 CAMERA = CameraSpec("camera", "r/base_link", outputs=("rgb", "depth", "normal"))
 
@@ -41,3 +42,12 @@ def test_the_same_messages_are_made_of_the_same_camera_whose_numbers_a_renderer_
     first = messages.to_draw(frozenset({"rgb", "depth"}))
     assert messages.to_draw(frozenset({"depth"})) is not first
     assert messages.to_draw(frozenset({"depth", "rgb"})) is first
+
+
+def test_topics_of_images_are_those_that_a_camera_publishes_but_for_its_calibrations() -> None:
+    camera = CameraSpec("camera", "r/base_link", outputs=OUTPUTS)
+    published = {
+        topic for kind, _, topic in CameraMessages(camera, RenderConfig(), camera).topics() if not kind.endswith("_info")
+    }
+    assert set(names.image_topics("camera", OUTPUTS)) == published
+    assert names.image_topics("camera", ("normal",)) == ("camera/normal/image_raw",)

@@ -207,5 +207,5 @@ def _command(way: str, scene: str, robot: Path, substeps: int, modes: Sequence[M
         hz,
     ]
     options += ["--camera-rate", hz, "--camera-outputs", outputs] if outputs else ["--no-render"]
-    options += ["--lockstep", "--participants", "bench_controller"] if way == LOCKSTEP else []
+    options += ["--lockstep", "--participants", "bench_controller"] if way == LOCKSTEP else ["--image-timeout", "0"]
     return [sys.executable, "-m", "gibson_sim.cli.main", "run", *options]

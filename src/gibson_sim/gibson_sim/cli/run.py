@@ -46,6 +46,7 @@ def add_parser(subparsers: Any) -> None:
             "participants",
             "participant_timeout",
             "on_timeout",
+            "image_timeout",
             "digests",
             "step_hz",
             "clock_hz",

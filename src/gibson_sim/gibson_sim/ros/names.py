@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from gibson_sim.types import OUTPUTS
+from collections.abc import Iterable
+
+from gibson_sim.types import OUTPUTS, Output
 
 CLOCK = "/clock"
 TF = "/tf"
@@ -68,6 +70,17 @@ def camera_topics(camera: str) -> dict[str, str]:
         topics[output] = f"{folder}/image_raw"
         topics[f"{output}_info"] = f"{folder}/camera_info"
     return topics
+
+
+def image_topics(camera: str, outputs: Iterable[Output]) -> tuple[str, ...]:
+    """Returns all topics on which a camera with these outputs may publish what it sees, in whatever form."""
+    topics, outputs = camera_topics(camera), tuple(outputs)
+    found = [topics[output] for output in outputs]
+    if "rgb" in outputs:
+        found.append(compressed_topic(topics["rgb"]))
+    if "depth" in outputs:
+        found += [compressed_depth_topic(topics["depth"]), points_topic(camera), registered_depth_topics(camera)[0]]
+    return tuple(found)
 
 
 def compressed_topic(topic: str) -> str:

@@ -21,6 +21,7 @@ from gibson_sim.resources import find_config
 from gibson_sim.ros import names
 from gibson_sim.ros.digest_publisher import DigestPublisher
 from gibson_sim.ros.executor import make_executor
+from gibson_sim.ros.image_gate import ImageGate
 from gibson_sim.ros.journal import Journal
 from gibson_sim.ros.lockstep_gate import LockstepGate
 from gibson_sim.ros.matching import wait_for_others, wait_until_received
@@ -59,7 +60,7 @@ class PhysicsNode(Node):
         tick_digest (gibson_msgs/TickDigest), with ``digests``: numbers of all that a tick holds.
         And what ``TickPublisher`` and ``Journal`` list.
 
-    Subscribes, with ``lockstep``, to what ``LockstepGate`` lists.
+    Subscribes, with ``lockstep``, to what ``LockstepGate`` lists; with ``rate`` 0, to what ``ImageGate`` lists.
 
     Services: those of ``SimulationServices``, the standard simulation_interfaces.
     """
@@ -94,6 +95,12 @@ class PhysicsNode(Node):
         self._gate: LockstepGate | None = None
         if config.lockstep:
             self._ticks.gate = self._gate = LockstepGate(self, config, self._on_tick_done, self._ticks.publish_again)
+        self._images: ImageGate | None = None
+        if config.image_timeout and not config.lockstep:
+            self._ticks.images = self._images = ImageGate(
+                self, config.image_timeout, self._on_tick_done, self._ticks.publish_again
+            )
+            self._images.switch(config.rate == 0.0)
         self._stats = PhysicsStats(self, config, self._simulator, self._pacer, self._journal, self._gate)
         self._seen: tuple[PhysicsWorld | None, int] = (None, -1)
         self._seen_epoch = -1
@@ -126,6 +133,8 @@ class PhysicsNode(Node):
                 except ConfigError as error:
                     return SetParametersResult(successful=False, reason=str(error))
                 self._pacer.set_rate(self._config.rate)
+                if self._images is not None:
+                    self._images.switch(self._config.rate == 0.0)
                 self._set_timer()
         return SetParametersResult(successful=True)
 
@@ -167,6 +176,8 @@ class PhysicsNode(Node):
         self._ticks.forget()
         if self._gate is not None:
             self._gate.restart()
+        if self._images is not None:
+            self._images.restart()
         if self._digests is not None:
             self._digests.forget()
         steps, stamp_ns = (world.step_count, world.stamp_ns) if world is not None else (0, 0)
@@ -202,6 +213,8 @@ class PhysicsNode(Node):
         self._stats.restart(self._stamp_ns)
         while goes_on() and not self._done:
             executor.spin_once(timeout_sec=0.5)
+            if self._images is not None and not self._images.is_open:
+                self._turn()  # the timer rests, so that renderers have the processor; the timeout may have passed
             if self._gate is not None:
                 if self._gate.failure is not None:
                     raise self._gate.failure
@@ -220,6 +233,8 @@ class PhysicsNode(Node):
             if self.simulator.quitting or not goes_on():
                 break
             executor.spin_once(timeout_sec=0.1)
+        while self._images is not None and not self._images.may_go() and goes_on() and not self.simulator.quitting:
+            executor.spin_once(timeout_sec=0.1)
         wait_until_received(*self.publishers)
 
     def _set_timer(self) -> None:
@@ -233,14 +248,14 @@ class PhysicsNode(Node):
         self._timer = self.create_timer(period, self._turn, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _turn(self) -> None:
-        """Makes the steps that are due now, as far as lockstep lets it."""
+        """Makes the steps that are due now, as far as lockstep and images let it."""
         if self._done:
             return
-        simulator, now_ns, gate = self.simulator, time.monotonic_ns(), self._gate
+        simulator, now_ns, gate, images = self.simulator, time.monotonic_ns(), self._gate, self._images
         if gate is not None and self._stamped is not None:
             for topic in self._stamped.arrived():
                 gate.core.receive(topic.lstrip("/"), now_ns)
-        if gate is None or gate.may_go():
+        if (gate is None or gate.may_go()) and (images is None or images.may_go()):
             # Not while a tick waits: a renderer that has the next scene already could not draw it.
             self._follow_changes()
             self._take_planned()
@@ -248,6 +263,8 @@ class PhysicsNode(Node):
             left = self._pipeline(now_ns, left) if self._config.pipelined else self._make_steps(now_ns, left)
             if left and simulator.state is SimulationState.PLAYING:
                 self._pacer.give_back(left)
+        if images is not None and self._timer is not None and images.is_open == self._timer.is_canceled():
+            (self._timer.reset if images.is_open else self._timer.cancel)()
         self._done = self._done or (self._standard is not None and self._standard.quit_is_answered)
 
     def _make_steps(self, now_ns: int, left: int) -> int:
@@ -261,7 +278,11 @@ class PhysicsNode(Node):
             self._ticks.publish(world)
             self._end_step(world.stamp_ns)
             left -= 1
-            if (self._gate is not None and not self._gate.core.is_open) or self._take_planned():
+            if (self._gate is not None and not self._gate.core.is_open) or (
+                self._images is not None and not self._images.is_open
+            ):
+                break
+            if self._take_planned():
                 break
         return left
 

@@ -16,6 +16,7 @@ from gibson_sim.ros import names, qos
 from gibson_sim.ros.contacts_publisher import ContactsPublisher
 from gibson_sim.ros.digest_publisher import DigestPublisher
 from gibson_sim.ros.fast_publish import FastClock
+from gibson_sim.ros.image_gate import ImageGate
 from gibson_sim.ros.lockstep_gate import LockstepGate
 from gibson_sim.ros.robot_interface import RobotInterface
 from gibson_sim.ros.world_interface import WorldInterface
@@ -62,6 +63,8 @@ class TickPublisher:
         """Makes the publisher of /clock; ``robots`` is looked into at every step."""
         self.gate: LockstepGate | None = None
         """Is told of every tick."""
+        self.images: ImageGate | None = None
+        """The same."""
         self._config, self._simulator, self._robots, self._world_topics = config, simulator, robots, world_topics
         self._digests = digests
         self._contacts = ContactsPublisher(node, config)
@@ -145,6 +148,8 @@ class TickPublisher:
         for robot in self._robots.values():
             robot.publish_state(world, state, self._digests)
         self._contacts.publish(world, tick)
+        if self.images is not None:
+            self.images.publish_tick(world.stamp_ns, self._world_topics.cameras, due)
         return state, tuple(self._world_topics.cameras[i] for i in due)
 
     def _publish_odometry(self, world: PhysicsWorld) -> None:
