@@ -9,6 +9,8 @@ import pytest
 
 from gibson_sim.cli.main import main
 from gibson_sim.errors import ConfigError, SceneError
+from gibson_sim.geometry.patches import flat_patches
+from gibson_sim.geometry.upright import find_candidates
 from gibson_sim.importing.check import Finding, Report, check_path
 from gibson_sim.importing.document import rpy_deg
 from gibson_sim.importing.facts import SceneFacts
@@ -309,3 +311,34 @@ def test_floors_ground_and_rooms_are_turned_with_the_scene(tmp_path: Path) -> No
     assert mended.scene.floors == pytest.approx((1.0,), abs=0.01) and mended.scene.ground_z == pytest.approx(1.0, abs=0.01)
     (hall,) = mended.scene.rooms
     np.testing.assert_allclose(hall.polygon, square[:, :2], atol=0.12)
+
+
+def _wall_with_cupboards() -> tuple[np.ndarray, np.ndarray]:
+    """Returns a wall of 9 x 3 m that faces +y, and cupboards on it, as a scan has them that saw no floor."""
+    corners, quads = np.array([[-4.5, 0.0, 0.0], [4.5, 0.0, 0.0], [4.5, 0.0, 3.0], [-4.5, 0.0, 3.0]]), np.array([[0, 3, 2, 1]])
+    for k in range(8):
+        low = np.array([-4.2 + 1.1 * k, 0.0, 0.2 + 0.9 * (k % 3)])
+        more, sides = box_faces(tuple(low), tuple(low + (0.8, 2.0 if k == 3 else 0.4 + 0.1 * (k % 4), 0.7)))
+        # No backs.
+        quads = np.concatenate([quads, sides[~np.isclose(more[sides][:, :, 1], 0.0).all(axis=1)] + len(corners)])
+        corners = np.concatenate([corners, more])
+    return corners, triangles(quads)
+
+
+def test_a_wall_with_cupboards_is_not_taken_for_a_floor_with_furniture() -> None:
+    corners, faces = _wall_with_cupboards()
+    for seed in range(8):
+        rotation = random_rotation(seed)
+        guess = guess_up(corners @ rotation.T, faces)
+        if float(rotation[2, 1]) < np.cos(np.radians(15.0)):  # nearly level walls pass for floors: scans are held nearly upright
+            assert not guess.sure or float(np.asarray(guess.up) @ rotation[:, 2]) > 0.99
+
+
+def test_what_tells_up_from_down_hardly_depends_on_how_the_mesh_is_turned() -> None:
+    cues = []
+    for seed in range(6):
+        rotation = random_rotation(seed)
+        patches = flat_patches(NOISY[0] @ rotation.T, NOISY[1], np.random.default_rng(0))
+        assert patches is not None
+        cues.append(next(c.cues[2:] for c in find_candidates(patches) if float(np.asarray(c.up) @ rotation[:, 2]) > 0.99))
+    assert np.ptp(np.array(cues), axis=0).max() < 0.08, np.round(cues, 2)

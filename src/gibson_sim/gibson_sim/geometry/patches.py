@@ -60,15 +60,24 @@ def flat_patches(vertices: F64, triangles: NDArray[np.integer], rng: np.random.G
     points, which = spread_over(corners, count, rng)
     if not len(points):
         return None
-    normals = unit_normals(corners[which])
-    size = max(float(np.ptp(points, axis=0).max()) / 30.0, 1e-12)
+    return _pieces(points, unit_normals(corners[which]), np.eye(3))
+
+
+def in_other_cubes(patches: Patches, rotation: F64) -> Patches:
+    """Returns the flat pieces of the same points in the cubes of a grid that is turned, (3, 3); the frame stays that of the mesh."""
+    return _pieces(patches.points, patches.normals, rotation)
+
+
+def _pieces(points: F64, normals: F64, rotation: F64) -> Patches:
+    turned = points @ rotation
+    size = max(float(np.ptp(turned, axis=0).max()) / 30.0, 1e-12)
     for _ in range(_ROUNDS):
-        cube, numbers = _cubes(points, size)
+        cube, numbers = _cubes(turned, size)
         mean = float((numbers.astype(np.float64) ** 2).sum() / numbers.sum())
         if 0.9 < mean / _POINTS_EACH < 1.1:
             break
         size *= (_POINTS_EACH / mean) ** 0.5
-    cube, numbers = _cubes(points, size)
+    cube, numbers = _cubes(turned, size)
     centres = np.stack([np.bincount(cube, points[:, k]) for k in range(3)], axis=1) / numbers[:, None]
     offsets = points - centres[cube]
     spread = np.empty((len(numbers), 3, 3))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.level import level_direction
-from gibson_sim.geometry.patches import Patches
+from gibson_sim.geometry.patches import Patches, in_other_cubes
 
 F64 = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -40,6 +40,8 @@ _LITTLE = 0.03
 """Of the whole surface: less clutter than this says little."""
 _GAP = 0.25
 """Of the height: free columns that are longer count."""
+_SAMPLES = 8
+"""Grids of cubes over which cues are averaged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,11 +63,14 @@ def find_candidates(patches: Patches, weights: Sequence[float] = WEIGHTS) -> lis
     axes = _axes(patches)
     if not axes:
         return []
-    structure = _structure(patches, axes)
+    # How cubes happen to lie on furniture decides nothing once many lie in many ways.
+    samples = [patches, *(in_other_cubes(patches, turn) for turn in _turns(_SAMPLES - 1))]
+    structures = [_structure(sample, axes) for sample in samples]
     found = []
     for axis in axes:
-        even, odd = _cues(patches, axis, structure)
-        area = float(patches.weights[np.abs(patches.directions @ axis) > _LEVEL].sum() / patches.weights.sum())
+        cues = [_cues(sample, axis, structure) for sample, structure in zip(samples, structures, strict=True)]
+        even, odd = (np.mean([sample[part] for sample in cues], axis=0).tolist() for part in (0, 1))
+        area = float(np.mean([p.weights[np.abs(p.directions @ axis) > _LEVEL].sum() / p.weights.sum() for p in samples]))
         for sign in (1.0, -1.0):
             found.append((sign * axis, area, (*even, *(sign * cue for cue in odd))))
     scores = np.array([cues for _, _, cues in found]) @ np.asarray(weights)
@@ -75,6 +80,13 @@ def find_candidates(patches: Patches, weights: Sequence[float] = WEIGHTS) -> lis
         Candidate((float(up[0]), float(up[1]), float(up[2])), area, tuple(float(c) for c in cues), float(chances[k]))
         for k, (up, area, cues) in sorted(enumerate(found), key=lambda item: -chances[item[0]])
     ]
+
+
+def _turns(count: int) -> list[F64]:
+    """Returns rotations, (3, 3), the same ones each time."""
+    rng = np.random.default_rng(0)
+    turns = [np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(count)]
+    return [turn * np.sign(np.linalg.det(turn)) for turn in turns]
 
 
 def _axes(patches: Patches) -> list[F64]:

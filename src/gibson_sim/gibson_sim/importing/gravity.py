@@ -38,6 +38,8 @@ _TURNED_ODDS = 30.0
 """Odds for z of a mesh that a pose turned, and for its z before."""
 _ALONG_DEG, _ALONG_ODDS = 2.0, 2.5
 """The same for directions along x or y: files differ in which axis is up."""
+_ALONE, _ROOMY = 0.65, 0.2
+"""Of the whole surface, of its columns: where more lies one way and fewer end at a floor and a ceiling, a wall is as likely as a floor."""
 _NEAR_GIVEN_DEG = 10.0
 """What is level this near to a direction that somebody gave decides the rest."""
 _SHOWN = 3
@@ -101,9 +103,10 @@ def _guess(found: Sequence[Candidate]) -> UpGuess:
     if best is upright:
         odds = next((odds for most, odds in _TILTED if tilt <= most), 1.0)
         sure = tilt <= _UPRIGHT_DEG or (_chance(best, odds) >= _SURE and (_agree(best) or tilt <= _TILTED[0][0]))
+        sure &= tilt <= ON_ITS_SIDE_DEG or not _one_sided(best)
         return UpGuess(best.up, True) if sure else _unclear(found)
     along = max(abs(c) for c in best.up[:2]) >= math.cos(math.radians(_ALONG_DEG))
-    if _chance(best, _ALONG_ODDS if along else 1.0) >= _SURE and _agree(best):
+    if _chance(best, _ALONG_ODDS if along else 1.0) >= _SURE and _agree(best) and not _one_sided(best):
         return UpGuess(best.up, True)
     nearly = _TILTED[0][1] * upright.chance > best.chance * _SURE / (1.0 - _SURE)
     return UpGuess(upright.up, True) if tilt <= _UPRIGHT_DEG or (tilt <= _TILTED[0][0] and nearly) else _unclear(found)
@@ -140,6 +143,11 @@ def _agree(candidate: Candidate) -> bool:
     says = dict(zip(CUES, candidate.cues, strict=True))
     loud = [says[name] > 0 for name, noise in _NOISE.items() if abs(says[name]) > noise]
     return all(loud) and len(loud) >= _AGREE
+
+
+def _one_sided(candidate: Candidate) -> bool:
+    """Returns whether there is little but one surface and what is on it: a floor without walls, or a wall with shelves and pictures."""
+    return candidate.area > _ALONE and candidate.cues[CUES.index("gaps")] < _ROOMY
 
 
 def level_near(vertices: F64, triangles: NDArray[np.integer], up: Sequence[float]) -> Vec3:
