@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import resource
@@ -81,6 +82,30 @@ def test_a_zip_that_lies_about_its_sizes_is_stopped_while_it_comes_out(tmp_path:
     with pytest.raises(SceneError):
         unpack(bomb, tmp_path / "out", ArchiveLimits(free=2**20))
     assert sum(p.stat().st_size for p in (tmp_path / "out").rglob("*")) <= 2**21
+
+
+def test_a_tar_whose_headers_stand_for_gigabytes_is_refused_unread(tmp_path: Path) -> None:
+    head = tarfile.TarInfo("x")
+    head.size, head.type = 2**28, tarfile.XHDTYPE
+    with gzip.open(tmp_path / "a.tar.gz", "wb") as file:
+        file.write(head.tobuf(tarfile.USTAR_FORMAT))
+        for _ in range(256):
+            file.write(bytes(2**20))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(SceneError, match="a header has 256 MB, must be at most 1 MB"):
+        unpack(tmp_path / "a.tar.gz", tmp_path / "out")
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100 * 1024
+
+
+@pytest.mark.parametrize("packing", ["", ":gz", ":bz2", ":xz"])
+def test_tars_of_every_packing_are_unpacked(tmp_path: Path, packing: str) -> None:
+    content = bytes(range(256)) * 10_000
+    with tarfile.open(tmp_path / "a.tar", f"w{packing}") as tar:  # type: ignore[call-overload]
+        member = tarfile.TarInfo("folder/" + "n" * 200)
+        member.size = len(content)
+        tar.addfile(member, io.BytesIO(content))
+    unpack(tmp_path / "a.tar", tmp_path / "out")
+    assert (tmp_path / "out/folder" / ("n" * 200)).read_bytes() == content
 
 
 def test_an_archive_larger_than_allowed_is_refused(tmp_path: Path) -> None:

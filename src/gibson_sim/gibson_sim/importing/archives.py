@@ -2,21 +2,41 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
+import lzma
 import shutil
 import stat
 import tarfile
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import IO
+from typing import IO, Any, cast
 
 from gibson_sim.errors import SceneError
 from gibson_sim.quoting import quoted
 
 _BLOCK = 1 << 20
-_ERRORS = (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError, ValueError)
+_PACKED: dict[bytes, Callable[[IO[bytes]], Any]] = {
+    b"\x1f\x8b": lambda file: gzip.GzipFile(fileobj=file),
+    b"BZh": bz2.BZ2File,
+    b"\xfd7zXZ\0": lzma.LZMAFile,
+}
+"""First bytes of a compressed file, and what unpacks it."""
+_ERRORS = (
+    zipfile.BadZipFile,
+    tarfile.TarError,
+    zlib.error,
+    lzma.LZMAError,
+    EOFError,
+    OSError,
+    NotImplementedError,
+    RuntimeError,
+    ValueError,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +75,7 @@ def unpack(archive: Path, folder: Path, limits: ArchiveLimits | None = None) -> 
     bounds = limits or ArchiveLimits()
     try:
         packed = archive.stat().st_size
-        with _open(archive) as source:
+        with _open(archive, packed, bounds) as source:
             entries = list(_checked(archive, _entries(archive, source, bounds), packed, bounds))
             folder.mkdir(parents=True, exist_ok=True)
             total = 0
@@ -79,10 +99,43 @@ def unpack(archive: Path, folder: Path, limits: ArchiveLimits | None = None) -> 
         ) from e
 
 
-def _open(archive: Path) -> zipfile.ZipFile | tarfile.TarFile:
+class _Bounded:
+    """A stream of which nothing is read that is much larger than a header of a TAR may be, and no longer than a TAR may be.
+
+    tarfile reads a header of names and comments whole, and what lies between two files as well, before it says that there is one.
+    """
+
+    def __init__(self, archive: Path, stream: IO[bytes], packed: int, limits: ArchiveLimits) -> None:
+        self._archive, self._stream, self._packed, self._limits = archive, stream, packed, limits
+
+    def read(self, size: int = -1) -> bytes:
+        if not 0 <= size <= _BLOCK:
+            raise SceneError(
+                f"{self._archive}: a header has {size / 2**20:.0f} MB, must be at most {_BLOCK >> 20} MB; nothing was unpacked"
+            )
+        return self._stream.read(size)
+
+    def seek(self, position: int) -> int:
+        _check_total(self._archive, position, self._packed, self._limits)
+        return self._stream.seek(position)
+
+    def tell(self) -> int:
+        return self._stream.tell()
+
+
+@contextmanager
+def _open(archive: Path, packed: int, limits: ArchiveLimits) -> Iterator[zipfile.ZipFile | tarfile.TarFile]:
     if zipfile.is_zipfile(archive):
-        return zipfile.ZipFile(archive)
-    return tarfile.open(archive)
+        with zipfile.ZipFile(archive) as source:
+            yield source
+        return
+    with archive.open("rb") as file:
+        head = file.read(6)
+        file.seek(0)
+        unpacker = next((unpacker for mark, unpacker in _PACKED.items() if head.startswith(mark)), None)
+        stream: Any = file if unpacker is None else unpacker(file)
+        with tarfile.open(fileobj=cast(Any, _Bounded(archive, stream, packed, limits)), mode="r:") as tar:
+            yield tar
 
 
 def _entries(archive: Path, source: zipfile.ZipFile | tarfile.TarFile, limits: ArchiveLimits) -> Iterator[_Entry]:
