@@ -318,7 +318,7 @@ def _wall_with_cupboards() -> tuple[np.ndarray, np.ndarray]:
     corners, quads = np.array([[-4.5, 0.0, 0.0], [4.5, 0.0, 0.0], [4.5, 0.0, 3.0], [-4.5, 0.0, 3.0]]), np.array([[0, 3, 2, 1]])
     for k in range(8):
         low = np.array([-4.2 + 1.1 * k, 0.0, 0.2 + 0.9 * (k % 3)])
-        more, sides = box_faces(tuple(low), tuple(low + (0.8, 2.0 if k == 3 else 0.4 + 0.1 * (k % 4), 0.7)))
+        more, sides = box_faces(tuple(low), tuple(np.add(low, (0.8, 2.0 if k == 3 else 0.4 + 0.1 * (k % 4), 0.7))))
         # No backs.
         quads = np.concatenate([quads, sides[~np.isclose(more[sides][:, :, 1], 0.0).all(axis=1)] + len(corners)])
         corners = np.concatenate([corners, more])

@@ -70,7 +70,9 @@ def find_candidates(patches: Patches, weights: Sequence[float] = WEIGHTS) -> lis
     for axis in axes:
         cues = [_cues(sample, axis, structure) for sample, structure in zip(samples, structures, strict=True)]
         even, odd = (np.mean([sample[part] for sample in cues], axis=0).tolist() for part in (0, 1))
-        area = float(np.mean([p.weights[np.abs(p.directions @ axis) > _LEVEL].sum() / p.weights.sum() for p in samples]))
+        area = float(
+            np.mean([p.weights[np.abs(p.directions @ axis) > _LEVEL].sum() / max(p.weights.sum(), 1.0) for p in samples])
+        )
         for sign in (1.0, -1.0):
             found.append((sign * axis, area, (*even, *(sign * cue for cue in odd))))
     scores = np.array([cues for _, _, cues in found]) @ np.asarray(weights)
