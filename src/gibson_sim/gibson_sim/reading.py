@@ -96,6 +96,17 @@ def exists(path: Path) -> bool:
     return True
 
 
+def real_path(path: Path) -> Path:
+    """Returns a path with its symbolic links followed, but not that of a file to a name that lacks its suffix.
+
+    The suffix says how a file is read; in a store of blobs, to which links of an installation may lead, names have none.
+    """
+    real = Path(os.path.realpath(path))
+    if not path.suffix or path.suffix.lower() == real.suffix.lower() or not is_file(real):
+        return real
+    return Path(os.path.realpath(path.parent), path.name)
+
+
 def check_status(status: os.stat_result, most: int) -> None:
     """Checks what ``stat`` says of a file that is to be read.
 

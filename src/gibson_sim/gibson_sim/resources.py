@@ -16,7 +16,7 @@ from pathlib import Path
 
 from gibson_sim.errors import ConfigError, GibsonSimError, RobotError, SceneNotFoundError
 from gibson_sim.quoting import quoted
-from gibson_sim.reading import exists, is_file, is_folder
+from gibson_sim.reading import exists, is_file, is_folder, real_path
 
 PACKAGE = "gibson_sim"
 PATH_VARIABLE = "GIBSON_SIM_PATH"
@@ -123,16 +123,16 @@ def _find(
     is_path = path.is_absolute() or text.startswith(("./", "../", "~")) or text in (".", "..")
     if is_path:
         if exists(path):
-            return path.resolve()
+            return real_path(path)
         raise error(f"{what} {quoted(text)}: there is nothing at {path.resolve()}")
     for folder in folders:
         for suffix in suffixes or ("",):
             candidate = folder / (text + suffix)
             # The name must not lead out of the folder; a link in it may: an installation can be made of links.
             if exists(candidate) and Path(os.path.normpath(candidate)).is_relative_to(os.path.normpath(folder)):
-                return candidate.resolve()
+                return real_path(candidate)
     if exists(path):
-        return path.resolve()
+        return real_path(path)
     known = sorted(set(_names(folders)))
     near = difflib.get_close_matches(text, known, n=1, cutoff=0.5)
     looked = ", ".join([str(Path.cwd()), *map(str, folders)])

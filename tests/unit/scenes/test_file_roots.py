@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.errors import MeshError
-from gibson_sim.resources import known_scenes
+from gibson_sim.resources import find_scene, known_scenes
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.urdf import read_urdf
 from gibson_sim.scenes.file_roots import is_inside, package_roots
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.mesh import MeshLoader, load_shape, mesh_folders
+from gibson_sim.scenes.mesh import MeshLoader, load_shape, mesh_folders, scene_roots
 from support.gltf import png
 
 
@@ -36,6 +36,21 @@ def test_every_scene_loads_from_an_installation_made_of_links(tmp_path: Path) ->
         assert load_scene(install_with_links(folder, tmp_path / "share" / name)).visuals, name
     # Bags and caches know a scene by its hash: it is that of the copy.
     assert load_scene(tmp_path / "share" / "flat").content_hash == load_scene(scenes["flat"]).content_hash
+
+
+def test_scene_loads_from_links_into_a_store_of_files_without_names(root: Path, tmp_path: Path) -> None:
+    scene = root / "scenes" / "flat"
+    (tmp_path / "blobs").mkdir()
+    for number, file in enumerate(sorted(path for path in scene.rglob("*") if path.is_file())):
+        blob, link = tmp_path / "blobs" / f"{number:064d}", tmp_path / "flat" / file.relative_to(scene)
+        blob.write_bytes(file.read_bytes())
+        link.parent.mkdir(parents=True, exist_ok=True)
+        link.symlink_to(blob)
+    found = load_scene(tmp_path / "flat")
+    loader = MeshLoader(scene_roots(found))
+    assert {len(loader.shape(visual.shape).merged()[1]) > 0 for visual in found.visuals} == {True}
+    mesh = next(path for path in (tmp_path / "flat").rglob("*.glb"))
+    assert load_scene(find_scene(mesh)).visuals, "a mesh alone is found by its name, too"
 
 
 def test_objects_and_robots_made_of_links_are_drawn_and_collide(root: Path, tmp_path: Path) -> None:

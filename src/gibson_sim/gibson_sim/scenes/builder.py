@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gibson_sim.errors import SceneError, SceneNotFoundError
 from gibson_sim.geometry.transforms import pose_from_matrix, transform_points
 from gibson_sim.quoting import quoted
-from gibson_sim.reading import is_file, read_file
+from gibson_sim.reading import is_file, read_file, real_path
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.omissions import Omission, OmissionKind, kind_of
 from gibson_sim.robots.spec import Look, Shape, VisualSpec
@@ -169,7 +169,7 @@ class SceneBuilder:
         sizes = np.diag(turn.T @ np.diag(scale) @ turn) * factor
         turned = matrix.copy()
         turned[:3, :3] = matrix[:3, :3] @ turn
-        return Shape("mesh", (float(sizes[0]), float(sizes[1]), float(sizes[2])), str(os.path.realpath(path))), turned
+        return Shape("mesh", (float(sizes[0]), float(sizes[1]), float(sizes[2])), str(real_path(path))), turned
 
     def add_visual(
         self,
