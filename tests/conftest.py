@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from gibson_sim.errors import AlreadyRunningError
+from gibson_sim.reach import PROFILE_VARIABLE, RANGE_VARIABLE
 from gibson_sim.simulation.domain_lock import DomainLock
 from support.simulation import Listener, new_context, require
 
@@ -45,14 +46,14 @@ def ros_domain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
             continue
         break
     profile = tmp_path_factory.mktemp("dds") / "fastdds.xml"
-    usual = (ROOT / "config" / "fastdds.xml").read_text()
+    usual = (ROOT / "config" / "fastdds_local.xml").read_text()
     # A process that is held up for longer than this, while another one starts, would be deaf from then on.
     profile.write_text(usual.replace("<healthy_check_timeout_ms>1000<", "<healthy_check_timeout_ms>5000<"))
     assert profile.read_text() != usual
     changes = {
         "ROS_DOMAIN_ID": str(domain_id),
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "FASTRTPS_DEFAULT_PROFILES_FILE": str(profile),
+        RANGE_VARIABLE: "SYSTEM_DEFAULT",
+        PROFILE_VARIABLE: str(profile),
     }
     before = {k: os.environ.get(k) for k in changes}
     os.environ.update(changes)

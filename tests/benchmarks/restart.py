@@ -18,8 +18,8 @@ from tempfile import TemporaryDirectory
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from gibson_sim.bench import timing
-from gibson_sim.cli.environment import dds_profile, ros_variables
 from gibson_sim.cli.report_file import write_json
+from gibson_sim.reach import LOCAL, PROFILE_VARIABLE, apply_reach, profile_of
 from support.simulation import Launched, Listener, new_context
 
 IMAGE = "camera/image_raw"
@@ -56,15 +56,15 @@ def main() -> None:
     parser.add_argument("--scene", default="flat")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    os.environ.update(ros_variables(os.environ))
-    usual = dds_profile().read_text(encoding="utf-8")
-    assert USUAL in usual, f"{dds_profile()} has another form than this program knows"
+    apply_reach(os.environ, LOCAL)
+    usual = profile_of(LOCAL).read_text(encoding="utf-8")
+    assert USUAL in usual, f"{profile_of(LOCAL)} has another form than this program knows"
     found: dict[int, list[float]] = {}
     for milliseconds in args.milliseconds:
         with TemporaryDirectory() as folder:
             profile = Path(folder) / "fastdds.xml"
             profile.write_text(usual.replace(USUAL, f"<healthy_check_timeout_ms>{milliseconds}<"), encoding="utf-8")
-            os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profile)
+            os.environ[PROFILE_VARIABLE] = str(profile)
             found[milliseconds] = [round(seconds_without_images(args.scene), 2) for _ in range(args.repeat)]
         print(f"{milliseconds} ms: {found[milliseconds]} s", flush=True)
     values = {"date": timing.now(), "version": timing.version(), "machine": timing.machine(), "cores": timing.cores()}

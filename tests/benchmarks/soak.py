@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from gibson_sim.cli.environment import ros_variables
+from gibson_sim.reach import apply_reach
 from support.simulation import Launched, Listener, new_context
 
 ROBOTS = ("left", "right")
@@ -363,8 +363,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures here")
     parser.add_argument("--picture", type=Path, metavar="FILE.png", help="draw memory over time")
     args = parser.parse_args()
-    os.environ.update(ros_variables(os.environ))
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    apply_reach(os.environ)
     context = new_context()
     listener = Listener(context)
     with TemporaryDirectory(prefix="gibson-sim-soak-") as folder:

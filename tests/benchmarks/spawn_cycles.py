@@ -29,9 +29,10 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from gibson_sim.bench import timing
-from gibson_sim.cli.environment import node_environment, ros_variables
+from gibson_sim.cli.environment import node_environment
 from gibson_sim.cli.report_file import write_json
 from gibson_sim.geometry.transforms import Mat4, invert, matrix_from_pose
+from gibson_sim.reach import apply_reach
 from gibson_sim.types import Pose
 from support.simulation import Launched, Listener, new_context
 from support.spawned_things import PLACES, ROBOT, Thing, silhouette, things
@@ -322,8 +323,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures here")
     args = parser.parse_args()
-    os.environ.update(ros_variables(os.environ))
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    apply_reach(os.environ)
     with TemporaryDirectory(prefix="gibson-sim-spawning-") as folder:
         run = Run(Path(folder), args.seed)
         began = time.monotonic()

@@ -26,7 +26,7 @@ ALONE = {
 
 
 def test_messages_alone_are_timed_for_every_row(ros_domain: int) -> None:
-    found = _exchanged(node_environment(here_alone=True))
+    found = _exchanged(node_environment())
     assert set(found) == {mode.name for mode in MODES}
     assert all(ms > 0.0 for row in found.values() for ms in row.values())
 
@@ -34,7 +34,7 @@ def test_messages_alone_are_timed_for_every_row(ros_domain: int) -> None:
 def test_one_simulation_in_lockstep_makes_ticks_of_each_row_in_turn(ros_domain: int, tmp_path: Path) -> None:
     modes, left_out = [mode for mode in MODES if mode.outputs], list[str]()
     robot = write_robot(tmp_path, (256, 256))
-    with _lockstep(Plan(scene="arena"), node_environment(here_alone=True), robot, left_out, 24, modes) as make:
+    with _lockstep(Plan(scene="arena"), node_environment(), robot, left_out, 24, modes) as make:
         for which in (0, 1, 0, len(modes) - 1):
             seconds = make(which, 3)
             assert len(seconds) == 3 and min(seconds) > 0.0
@@ -45,7 +45,7 @@ def test_a_simulation_that_does_not_start_is_left_out_with_the_reason(ros_domain
     monkeypatch.setattr("gibson_sim.cli.bench_table1.START_S", -110.0)  # of which the patience with a process is more
     left_out: list[str] = []
     plan, sensor_only = Plan(scene="no_such_scene"), [mode for mode in MODES if not mode.outputs]
-    with _lockstep(plan, node_environment(here_alone=True), tmp_path, left_out, 24, sensor_only) as make:
+    with _lockstep(plan, node_environment(), tmp_path, left_out, 24, sensor_only) as make:
         assert make(0, 3) == [] and make(0, 3) == []
     assert len(left_out) == 1 and "lockstep, sensor only with 24 substeps" in left_out[0]
     assert "no_such_scene" in left_out[0]
@@ -53,6 +53,6 @@ def test_a_simulation_that_does_not_start_is_left_out_with_the_reason(ros_domain
 
 def test_a_free_simulation_gives_all_its_rows(ros_domain: int, tmp_path: Path) -> None:
     plan = Plan(scene="arena", seconds=0.3)
-    rows = list(_free(plan, node_environment(here_alone=True), write_robot(tmp_path, (256, 256)), 24, False, ALONE, EXCHANGED))
+    rows = list(_free(plan, node_environment(), write_robot(tmp_path, (256, 256)), 24, False, ALONE, EXCHANGED))
     assert [row.mode for row in rows] == [mode.name for mode in MODES if not mode.outputs]
     assert all(row.way == FREE and row.fps > 0.0 and DDS not in row.bounds for row in rows)

@@ -28,6 +28,7 @@ class Context:
 
     argv: list[str] = field(default_factory=list)
     launch_configurations: dict[str, str] = field(default_factory=dict)
+    environment: dict[str, str] = field(default_factory=dict)
     is_shutdown: bool = False
 
 
@@ -82,7 +83,6 @@ _KINDS = {
         "LogInfo",
         "OpaqueFunction",
         "RegisterEventHandler",
-        "SetEnvironmentVariable",
     ),
     "launch.event_handlers": ("OnProcessExit",),
     "launch.events": ("Shutdown",),

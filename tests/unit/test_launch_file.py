@@ -61,7 +61,7 @@ def test_every_parameter_of_both_nodes_is_an_argument_with_its_meaning_and_limit
         assert options["choices"] == (list(f.metadata["choices"]) or None)
         assert options["choices"] or allowed(f) in options["description"]
         assert options["default_value"] == (str(f.default).lower() if isinstance(f.default, bool) else str(f.default))
-    assert list(declared) == ["params_file", "namespace", "render", "use_sim_time"]
+    assert list(declared) == ["params_file", "namespace", "render", "use_sim_time", "reach"]
 
 
 def test_what_nobody_gave_reaches_no_node() -> None:
@@ -161,6 +161,19 @@ def test_programs_that_it_starts_exist_and_get_the_file_before_the_arguments(
     physics, render = nodes
     assert json.loads(Path(physics.options["parameters"][1]).read_text())["/**"] == {"ros__parameters": {"seed": 5}}
     assert len(render.options["parameters"]) == 1
+
+
+def test_reach_is_that_of_the_nodes_alone_and_is_said(launch_file: LaunchFile) -> None:
+    for given, discovery, said in (
+        ((), "SYSTEM_DEFAULT", "processes of this machine alone; `reach:=subnet` lets other machines in"),
+        (("reach:=subnet",), "SUBNET", "every machine of this network may see and command it"),
+    ):
+        started = launch_file.start(*given)
+        assert said in started[0].options["msg"]
+        nodes = [action.options["additional_env"] for action in started if action.kind == "Node"]
+        assert [variables["ROS_AUTOMATIC_DISCOVERY_RANGE"] for variables in nodes] == [discovery] * 2
+    with pytest.raises(GibsonSimError, match="reach is 'world', must be one of local, subnet"):
+        launch_file.start("reach:=world")
 
 
 def _ends(started: list[Said], action: Said, code: int, context: Context) -> Any:

@@ -9,15 +9,15 @@ import shutil
 import tempfile
 
 from launch import LaunchDescription, logging
-from launch.actions import DeclareLaunchArgument, EmitEvent, LogInfo, OpaqueFunction, RegisterEventHandler, SetEnvironmentVariable
+from launch.actions import DeclareLaunchArgument, EmitEvent, LogInfo, OpaqueFunction, RegisterEventHandler
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
 from launch_ros.actions import Node
 
-from gibson_sim.cli.environment import ros_variables
 from gibson_sim.cli.job import MAX_RESTARTS, RESTART_WINDOW_S, USER_ERROR
 from gibson_sim.cli.launching import arguments, misspelt, plan
 from gibson_sim.cli.restarts import Restarts
+from gibson_sim.reach import describe_reach, reach_variables
 
 
 def generate_launch_description():
@@ -41,6 +41,7 @@ def _start(context):
     given = plan(context.launch_configurations)
     folder = tempfile.mkdtemp(prefix="gibson_sim_launch_")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    reach = reach_variables(context.environment, given.reach)
 
     def node(start):
         file = os.path.join(folder, f"{start.node}.yaml")
@@ -51,6 +52,7 @@ def _start(context):
             executable=f"{start.node}_node",
             namespace=given.namespace,
             parameters=[*([str(given.params_file)] if given.params_file else []), *([file] if start.parameters else [])],
+            additional_env=reach,  # theirs alone: what else is launched stays as it is
             output="screen",
         )
 
@@ -75,7 +77,7 @@ def _start(context):
         )
 
     return [
-        *[SetEnvironmentVariable(name, value) for name, value in ros_variables(os.environ).items()],
+        LogInfo(msg=describe_reach({**context.environment, **reach}, "reach:=")),
         RegisterEventHandler(OnProcessExit(on_exit=on_exit)),
         *running.values(),
     ]

@@ -126,7 +126,7 @@ def _turns(plan: LockstepPlan, domain_id: int | None, robot: Path, size: Size | 
         for number, way in enumerate(WAYS):
             if way == ONE_PROCESS and not size:
                 continue  # one node, as in lockstep
-            environment = node_environment(domain_id=(first + number) % _DOMAINS, here_alone=True)
+            environment = node_environment(domain_id=(first + number) % _DOMAINS)
             if way == ONE_PROCESS:
                 both = {**settings, "participants": "render;bench_controller"}
                 stack.enter_context(role(environment, ONE_PROCESS, physics=both, render={}))

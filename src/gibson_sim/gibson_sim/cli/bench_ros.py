@@ -85,7 +85,7 @@ def measure(plan: Plan, *, domain_id: int | None = None, tell: Tell = lambda lin
         AlreadyRunningError: a simulation runs in this domain; its /clock would be listened to.
     """
     # Nobody else is to hear this /clock, nor these images.
-    environment = node_environment(domain_id=domain_id, here_alone=True)
+    environment = node_environment(domain_id=domain_id)
     report = Report(
         timing.now(), timing.version(), timing.machine(), timing.cores(), timing.load(), {"Python": _python(), **_versions()}
     )

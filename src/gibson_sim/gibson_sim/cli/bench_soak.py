@@ -74,7 +74,7 @@ def free_running(scene: str, seconds: float, domain_id: int | None, tell: Callab
     """
     from gibson_sim.bench.soak import Samples
 
-    environment = node_environment(domain_id=domain_id, here_alone=True)
+    environment = node_environment(domain_id=domain_id)
     samples, interval = Samples(), max(INTERVAL_S, seconds / _LOOKS)
     with tempfile.TemporaryDirectory(prefix="gibson-sim-bench-") as logs:
         environment["ROS_LOG_DIR"] = logs

@@ -98,7 +98,7 @@ def measure(plan: Plan, *, domain_id: int | None = None, tell: Tell = lambda lin
     over_ros = [way for way in (LOCKSTEP, FREE) if way in plan.ways]
     with tempfile.TemporaryDirectory(prefix="gibson-sim-bench-") as folder:
         robot = write_robot(Path(folder), PHYSICS_SIZE)
-        environment = node_environment(domain_id=domain_id, here_alone=True) if over_ros else {}
+        environment = node_environment(domain_id=domain_id) if over_ros else {}
         exchanged: dict[str, dict[str, float]] = {}
         left_out: list[str] = []
         if over_ros:

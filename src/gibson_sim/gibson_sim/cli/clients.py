@@ -6,7 +6,7 @@ import argparse
 from dataclasses import fields
 from typing import Any
 
-from gibson_sim.cli.environment import node_environment, require_nodes
+from gibson_sim.cli.environment import add_network, environment_of, require_nodes
 from gibson_sim.cli.options import add_settings, node_arguments, settings_from_args
 from gibson_sim.cli.processes import become
 from gibson_sim.client_config import DriveConfig, RecordConfig, SnapshotConfig
@@ -31,12 +31,12 @@ def add_parser(subparsers: Any) -> None:
     add_settings(snapshot, SnapshotConfig, ("timeout",))
     snapshot.set_defaults(run=lambda args: _become("snapshot", SnapshotConfig, args))
     for parser in (drive, record, snapshot):
-        parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
+        add_network(parser)
 
 
 def _become(name: str, cls: type[Any], args: argparse.Namespace) -> int:
     """Replaces this process by the node, which so gets the terminal, its signals and its exit code."""
     require_nodes()
     config = settings_from_args(cls, args)
-    environment = node_environment(domain_id=args.domain_id)
+    environment = environment_of(args)
     become(f"{name}_node", node_arguments(config), environment)

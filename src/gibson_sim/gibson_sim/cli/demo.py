@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from gibson_sim.bags.film import write_film, write_film_strip
 from gibson_sim.bags.reader import BagReader
-from gibson_sim.cli.environment import node_environment, require_nodes
+from gibson_sim.cli.environment import add_network, environment_of, require_nodes
 from gibson_sim.cli.exit_codes import ExitCode
 from gibson_sim.cli.job import STATE_TOPIC, Job, run_job, say
 from gibson_sim.cli.parser import choice_error
@@ -58,7 +58,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--size", default="640x480", metavar="WxH", help="of an image in the video, pixels (default: 640x480)")
     parser.add_argument("--columns", type=int, default=6, help="moments in the film strip (default: 6)")
     parser.add_argument("--keep-bag", action="store_true", help="leave the recorded bag in the folder")
-    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
+    add_network(parser)
     parser.set_defaults(run=run)
 
 
@@ -82,9 +82,7 @@ def run(args: argparse.Namespace) -> int:
     args.out.mkdir(parents=True, exist_ok=True)
     camera = ground.robot.cameras[0].name
     try:
-        code, found = run_job(
-            lambda folder: _plan(args, folder, episode, episode_door(episode), camera), node_environment(domain_id=args.domain_id)
-        )
+        code, found = run_job(lambda folder: _plan(args, folder, episode, episode_door(episode), camera), environment_of(args))
         if code or not found.get("task"):
             return code or ExitCode.ERROR
         measured = _measured(bag, episode_door(episode), OPEN)

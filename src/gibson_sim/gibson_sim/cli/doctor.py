@@ -18,8 +18,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from gibson_sim import __version__
-from gibson_sim.cli.environment import PROFILE_VARIABLE, dds_profile, domain_of, in_wheels, node_environment
+from gibson_sim.cli.environment import domain_of, in_wheels, node_environment
 from gibson_sim.errors import AlreadyRunningError, GibsonSimError
+from gibson_sim.reach import PROFILE_VARIABLE, SUBNET, describe_reach, profile_of, reach_of
 from gibson_sim.resources import known_scenes
 from gibson_sim.simulation.domain_lock import DomainLock
 
@@ -191,22 +192,24 @@ def _cuda(nvidia: list[dict[str, Any]]) -> Finding:
 
 
 def _dds() -> Iterator[Finding]:
-    profile = os.environ.get(PROFILE_VARIABLE)
     try:
-        ours = str(dds_profile())
+        environment = node_environment()
     except GibsonSimError as error:
-        yield Finding("DDS profile", "FAIL", str(error), "reinstall, or set FASTRTPS_DEFAULT_PROFILES_FILE to config/fastdds.xml")
+        yield Finding("reach", "FAIL", str(error))
         return
-    if profile and profile != ours:
-        yield Finding("DDS profile", "warn", f"yours: {profile}", f"if images arrive late or with gaps, use {ours}")
+    yield Finding("reach", "ok", describe_reach(environment).removeprefix("reach: "))
+    profile = environment[PROFILE_VARIABLE]
+    if reach_of(os.environ) or profile == str(profile_of(SUBNET)):
+        yield Finding("DDS profile", "ok", profile)
     else:
-        yield Finding("DDS profile", "ok", ours)
+        remedy = f"if images arrive late or with gaps, take the shared memory of {profile_of(SUBNET)} into it"
+        yield Finding("DDS profile", "warn", f"yours: {profile}", remedy)
     ok, text = _try("from gibson_sim.ros.dds_check import main; main()")
     yield Finding(
         "large images",
         "ok" if ok else "FAIL",
         text,
-        "" if ok else "is a firewall or a foreign DDS profile in the way? try ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST",
+        "" if ok else "is a firewall or a foreign DDS profile in the way? unset the variables of ROS and Fast DDS, and try again",
     )
 
 

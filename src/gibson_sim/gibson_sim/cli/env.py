@@ -7,17 +7,26 @@ import os
 import shlex
 from typing import Any
 
-from gibson_sim.cli.environment import ros_variables
+from gibson_sim.reach import PROFILE_VARIABLE, REACHES, SUBNET, profile_of, reach_variables
 
 
 def add_parser(subparsers: Any) -> None:
     """Adds the sub-command."""
     parser = subparsers.add_parser("env", help='print shell lines that set up your own nodes: eval "$(gibson-sim env)"')
+    parser.add_argument(
+        "--reach",
+        choices=REACHES,
+        help="also with whom your nodes talk: processes of this machine alone, or whoever is on this network (default: as ROS does)",
+    )
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Prints one export a line; returns 0."""
-    for name, value in ros_variables(os.environ).items():
-        print(f"export {name}={shlex.quote(value)}")
+    """Prints one line a variable; returns 0."""
+    if args.reach:
+        variables = reach_variables(os.environ, args.reach)
+    else:
+        variables = {} if os.environ.get(PROFILE_VARIABLE) else {PROFILE_VARIABLE: str(profile_of(SUBNET))}
+    for name, value in variables.items():
+        print(f"export {name}={shlex.quote(value)}" if value else f"unset {name}")
     return 0

@@ -2,57 +2,60 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 
 from gibson_sim.errors import EnvironmentProblemError
-from gibson_sim.resources import find_config
+from gibson_sim.reach import REACHES, RMW_VARIABLE, apply_reach
 
-PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 PARENT_VARIABLE = "GIBSON_SIM_PARENT_PID"
 RMW = "rmw_fastrtps_cpp"
 
 
-def ros_variables(environment: Mapping[str, str]) -> dict[str, str]:
-    """Returns the variables that a ROS process should have beside ``environment`` so that large images arrive whole."""
-    wanted = {}
-    if PROFILE_VARIABLE not in environment:
-        wanted[PROFILE_VARIABLE] = str(dds_profile())
-    return wanted
+def add_network(parser: argparse.ArgumentParser) -> None:
+    """Adds the options that say with whom the processes of a command talk: ``environment_of`` reads them."""
+    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
+    parser.add_argument(
+        "--reach",
+        choices=REACHES,
+        help="with whom to talk: processes of this machine alone, or whoever is on this network (default: local, unless variables "
+        "of ROS or Fast DDS in the environment say with whom)",
+    )
 
 
-def dds_profile() -> Path:
-    """Returns the Fast DDS profile with a shared-memory segment for large images."""
-    return find_config("fastdds.xml")
+def environment_of(args: argparse.Namespace) -> dict[str, str]:
+    """Returns the whole environment for the nodes of a command with the options of ``add_network``.
+
+    Raises:
+        GibsonSimError: the environment cannot work.
+    """
+    return node_environment(domain_id=args.domain_id, reach=args.reach)
 
 
 def node_environment(
-    environment: Mapping[str, str] | None = None, *, domain_id: int | None = None, here_alone: bool = False
+    environment: Mapping[str, str] | None = None, *, domain_id: int | None = None, reach: str | None = None
 ) -> dict[str, str]:
     """Returns the whole environment for a node process.
 
     Args:
         environment: to begin with; None = that of this process.
         domain_id: of ROS; None = as the environment says.
-        here_alone: talk with processes on this machine alone, unless the environment says with whom.
+        reach: with whom it talks, see ``gibson_sim.reach``; None = as the environment says, and ``local`` if it says nothing.
 
     Raises:
-        EnvironmentProblemError: the given environment cannot work.
+        GibsonSimError: the given environment cannot work.
     """
     base = dict(os.environ if environment is None else environment)
-    if in_wheels() and base.get("RMW_IMPLEMENTATION", RMW) != RMW:
-        raise EnvironmentProblemError(
-            f"RMW_IMPLEMENTATION is {base['RMW_IMPLEMENTATION']!r}, but ROS from pip has {RMW} alone: unset it"
-        )
-    base.update(ros_variables(base))
+    if in_wheels() and base.get(RMW_VARIABLE, RMW) != RMW:
+        raise EnvironmentProblemError(f"{RMW_VARIABLE} is {base[RMW_VARIABLE]!r}, but ROS from pip has {RMW} alone: unset it")
+    apply_reach(base, reach)
     base["PYTHONUNBUFFERED"] = "1"
     base[PARENT_VARIABLE] = str(os.getpid())
     base.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "{severity} {message}")
     base.setdefault("RCUTILS_COLORIZED_OUTPUT", "0")
-    if here_alone:
-        base.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if domain_id is not None:
         base["ROS_DOMAIN_ID"] = str(domain_id)
     return base

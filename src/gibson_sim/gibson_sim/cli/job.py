@@ -19,6 +19,7 @@ from gibson_sim.cli.report_file import write_json
 from gibson_sim.cli.restarts import Restarts
 from gibson_sim.cli.shared_memory import remove_dead_segments
 from gibson_sim.errors import ConfigError, GibsonSimError, RecordError
+from gibson_sim.reach import describe_reach
 from gibson_sim.simulation.domain_lock import DomainLock
 from gibson_sim.simulation.job_folder import LOADED, JobFolder
 
@@ -132,6 +133,7 @@ class JobRun:
             self._code = ExitCode.ERROR
             return False
         self._accepted = True
+        say(describe_reach(self._environment))
         for node in self._nodes.values():
             node.speak()
         for name in reversed(self._job.configs):

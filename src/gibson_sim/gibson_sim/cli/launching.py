@@ -18,6 +18,7 @@ from gibson_sim.cli.params import allowed
 from gibson_sim.config import PhysicsConfig, RenderConfig
 from gibson_sim.errors import ConfigError, TextError
 from gibson_sim.quoting import quoted
+from gibson_sim.reach import REACHES
 from gibson_sim.reading import read_yaml_file
 from gibson_sim.settings import Value, nearest
 
@@ -78,6 +79,13 @@ _OWN = (
         "false",
         "Stamp what the render node logs with simulation time. Images have it anyway, and physics makes it. Allowed: true, false",
     ),
+    Argument(
+        "reach",
+        "",
+        "With whom both nodes talk: local = processes of this machine alone, subnet = whoever is on this network; empty = local, "
+        "unless variables of ROS or Fast DDS in the environment say with whom",
+        ("", *REACHES),
+    ),
 )
 """Arguments that are no settings."""
 
@@ -117,6 +125,8 @@ class Plan:
     params_file: Path | None
     """Absolute."""
     nodes: tuple[NodeStart, ...]
+    reach: str | None = None
+    """With whom the nodes talk; None = as the environment says."""
     sections: Any = None
     """What the file holds."""
 
@@ -165,7 +175,7 @@ def plan(given: Mapping[str, str]) -> Plan:
         if node == "render" and "use_sim_time" in given:
             parameters["use_sim_time"] = _value("use_sim_time", given["use_sim_time"], bool)
         starts.append(NodeStart(node, parameters))
-    return Plan(namespace, file, tuple(starts), sections)
+    return Plan(namespace, file, tuple(starts), given.get("reach") or None, sections)
 
 
 def misspelt(names: list[str]) -> list[str]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from gibson_sim.bags.digest_comparison import verification_from_json
 from gibson_sim.bags.replaying import RunFacts, read_facts
-from gibson_sim.cli.environment import node_environment, require_nodes
+from gibson_sim.cli.environment import add_network, environment_of, require_nodes
 from gibson_sim.cli.exit_codes import ExitCode
 from gibson_sim.cli.job import CAMERAS, STATE_TOPIC, Job, check_new_bag, run_job, say
 from gibson_sim.cli.names import check_names
@@ -59,7 +59,7 @@ def add_parser(subparsers: Any) -> None:
     record = parser.add_argument_group("record")
     record.add_argument("--record", metavar="DIR", help="record the repetition into this folder, which must not exist")
     add_settings(record, RecordConfig, ("topics", "compression", "reserve_mb"))
-    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
+    add_network(parser)
     parser.add_argument("--summary", metavar="FILE.json", help="write what was measured to this file as well")
     parser.set_defaults(run=run)
 
@@ -69,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
     require_nodes()
     facts = read_facts(args.bag)
     _check(args, facts)
-    environment = node_environment(domain_id=args.domain_id)
+    environment = environment_of(args)
     code, found = run_job(lambda folder: _plan(args, facts, folder), environment)
     return _report(found.get("replay", {}), code)
 

@@ -7,7 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.cli.environment import node_environment, require_nodes
+from gibson_sim.cli.environment import add_network, environment_of, require_nodes
 from gibson_sim.cli.job import CAMERAS, COMMANDS, ROBOTS, STATE_TOPIC, Job, check_new_bag, run_job
 from gibson_sim.cli.options import add_settings, settings_from_args
 from gibson_sim.client_config import DriveConfig, RecordConfig, SnapshotConfig
@@ -86,7 +86,7 @@ def add_parser(subparsers: Any) -> None:
     )
     record.add_argument("--video", metavar="FILE.mp4", help="make a video and, beside it, a contact sheet PNG of RGB and depth")
     record.add_argument("--snapshot", metavar="DIR", help="write one PNG of each image of every camera, then stop")
-    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
+    add_network(parser)
     parser.add_argument("--summary", metavar="FILE.json", help="write what was measured to this file as well")
     parser.set_defaults(run=run)
 
@@ -94,7 +94,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Runs the job; returns the exit code."""
     require_nodes()
-    environment = node_environment(domain_id=args.domain_id)
+    environment = environment_of(args)
     code, _ = run_job(lambda folder: _plan(args, folder), environment)
     return code
 

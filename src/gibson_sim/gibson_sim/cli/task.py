@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.cli.environment import node_environment, require_nodes
+from gibson_sim.cli.environment import add_network, environment_of, require_nodes
 from gibson_sim.cli.options import add_settings, node_arguments, settings_from_args
 from gibson_sim.cli.processes import become
 from gibson_sim.cli.report_file import write_json
@@ -29,7 +29,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--json", type=Path, metavar="FILE", help="JSON file to write, with every episode")
     parser.add_argument("--in-process", action="store_true", help="without ROS: physics and baseline in this process, one core")
     parser.add_argument("--pictures", type=Path, metavar="DIR", help="with --in-process: the end of every episode as a PNG")
-    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
+    add_network(parser)
     parser.set_defaults(run=run)
 
 
@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     if args.pictures:
         raise ConfigError("--pictures is for --in-process; of a running simulation take them with gibson-sim snapshot")
     require_nodes()
-    environment = node_environment(domain_id=args.domain_id)
+    environment = environment_of(args)
     become("task_node", node_arguments(config), environment)
 
 

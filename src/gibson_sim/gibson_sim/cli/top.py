@@ -6,7 +6,7 @@ import argparse
 import json
 from typing import Any
 
-from gibson_sim.cli.environment import domain_of, node_environment, require_nodes
+from gibson_sim.cli.environment import add_network, domain_of, environment_of, require_nodes
 from gibson_sim.cli.processes import become
 
 PATIENCE_S, PERIOD_S = 5.0, 1.0
@@ -25,14 +25,14 @@ def add_parser(subparsers: Any) -> None:
         action="store_true",
         help="also the rate of every topic; subscribes to all of them, images too, which costs time",
     )
-    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
+    add_network(parser)
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Replaces this process by the node, which so gets the terminal, its signals and its exit code."""
     require_nodes()
-    environment = node_environment(domain_id=args.domain_id)
+    environment = environment_of(args)
     domain_of(environment)
     options = {"once": args.once, "topics": args.topics, "patience_s": PATIENCE_S, "period_s": PERIOD_S}
     become("top_node", [json.dumps(options)], environment)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 
 from rclpy.node import Node
 
 from gibson_sim.errors import GibsonSimError
+from gibson_sim.reach import is_local
 from gibson_sim.ros.node_main import started_by_launcher
 
 SAY_S = 2.0
@@ -43,7 +45,8 @@ class Awaited:
             f"a simulation that publishes {node.resolve_topic_name(topic)} in ROS domain {node.context.get_domain_id()}",
             lambda: node.count_publishers(topic) > 0,
             timeout_s=0.0 if started_by_launcher() else timeout_s,
-            remedy="start one with `gibson-sim run`, or name its domain with --domain-id",
+            remedy="start one with `gibson-sim run`, or name its domain with --domain-id"
+            + (", or look for one on other machines with --reach subnet" if is_local(os.environ) else ""),
         )
 
     def look(self) -> bool:

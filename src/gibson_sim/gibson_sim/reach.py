@@ -1,0 +1,131 @@
+"""Who can reach a simulation: the variables that give its processes a DDS profile and a range of discovery.
+
+``local``: processes of this machine. Sockets are bound to 127.0.0.1 (``config/fastdds_local.xml``); discovery by ``LOCALHOST`` alone would
+not do, since rmw_fastrtps then listens on all interfaces, and whoever names this machine in ``ROS_STATIC_PEERS`` is let in.
+``subnet``: every machine of the network, as everywhere in ROS (``config/fastdds.xml``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, MutableMapping
+from pathlib import Path
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.resources import find_config
+
+LOCAL, SUBNET = "local", "subnet"
+REACHES = (LOCAL, SUBNET)
+PROFILE_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
+RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+RMW_VARIABLE = "RMW_IMPLEMENTATION"
+FAST_DDS = "rmw_fastrtps"
+"""What the names of the ROS middlewares on Fast DDS begin with, the default of Jazzy among them."""
+_PROFILES = {LOCAL: "fastdds_local.xml", SUBNET: "fastdds.xml"}
+_DECIDING = ("ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", "FASTDDS_ENVIRONMENT_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
+"""Variables with which somebody has decided who reaches a process."""
+
+
+def profile_of(reach: str) -> Path:
+    """Returns the Fast DDS profile of a reach; both have a shared-memory segment for large images."""
+    return find_config(_PROFILES[reach])
+
+
+def reach_of(environment: Mapping[str, str], wanted: str | None = None) -> str:
+    """Returns the reach, ``local`` or ``subnet``; empty where the environment decides.
+
+    Args:
+        environment: of the process that starts the simulation.
+        wanted: what a user asked for; None = as the environment says, and ``local`` if it says nothing.
+    """
+    if wanted is not None:
+        return wanted
+    discovery = environment.get(RANGE_VARIABLE, "").upper()
+    if _decided_by(environment) or discovery not in ("", "LOCALHOST", "SUBNET"):
+        return LOCAL if is_local(environment) else ""
+    return SUBNET if discovery == "SUBNET" else LOCAL
+
+
+def reach_variables(environment: Mapping[str, str], wanted: str | None = None) -> dict[str, str]:
+    """Returns the variables that a process needs for a reach beside its environment; an empty one must not be set.
+
+    Raises:
+        ConfigError: ``wanted`` is no reach, or the middleware of the environment cannot keep it.
+    """
+    if wanted is not None and wanted not in REACHES:
+        raise ConfigError(f"reach is {wanted!r}, must be one of {', '.join(REACHES)}")
+    reach = reach_of(environment, wanted)
+    own_profile = _foreign_profile(environment)
+    if not reach:
+        return {} if own_profile else {PROFILE_VARIABLE: str(profile_of(SUBNET))}
+    if not environment.get(RMW_VARIABLE, FAST_DDS).startswith(FAST_DDS):
+        if wanted == LOCAL:
+            raise ConfigError(
+                f"reach local needs Fast DDS, and {RMW_VARIABLE} is {environment[RMW_VARIABLE]!r}: unset it, or restrict that "
+                "middleware to the interface `lo` by its own settings (docs/security.md) and leave out reach"
+            )
+        return {RANGE_VARIABLE: "LOCALHOST"} if reach == LOCAL else {RANGE_VARIABLE: "SUBNET", "ROS_LOCALHOST_ONLY": ""}
+    if reach == LOCAL:
+        return {
+            PROFILE_VARIABLE: str(profile_of(LOCAL)),
+            RANGE_VARIABLE: "SYSTEM_DEFAULT",
+            "SKIP_DEFAULT_XML_FILE": "1",  # else a profile in the current folder would count
+            "ROS_LOCALHOST_ONLY": "",
+            "ROS_SUPER_CLIENT": "",
+            **dict.fromkeys(_DECIDING, ""),
+        }
+    variables = {RANGE_VARIABLE: "SUBNET", "ROS_LOCALHOST_ONLY": ""}
+    return variables if own_profile else {PROFILE_VARIABLE: str(profile_of(SUBNET)), **variables}
+
+
+def apply_reach(environment: MutableMapping[str, str], wanted: str | None = None) -> None:
+    """Sets and removes the variables of ``reach_variables`` in an environment."""
+    for name, value in reach_variables(environment, wanted).items():
+        if value:
+            environment[name] = value
+        else:
+            environment.pop(name, None)
+
+
+def describe_reach(environment: Mapping[str, str], option: str = "--reach ") -> str:
+    """Returns in one line who can reach processes with this environment, as ``reach_variables`` completed it.
+
+    Args:
+        environment: of the processes.
+        option: what a user writes before the name of a reach.
+    """
+    if is_local(environment):
+        return f"reach: processes of this machine alone; `{option}subnet` lets other machines in"
+    decided = _decided_by(environment)
+    discovery = environment.get(RANGE_VARIABLE, "").upper()
+    if not decided and discovery not in ("", "SUBNET"):
+        decided = f"{RANGE_VARIABLE}={discovery}"
+    if decided:
+        return f"reach: as {decided} says; `{option}local` keeps other machines out"
+    return f"reach: every machine of this network may see and command it; `{option}local` keeps others out"
+
+
+def is_local(environment: Mapping[str, str]) -> bool:
+    """Returns whether processes with this environment, as ``reach_variables`` completed it, reach this machine alone."""
+    profile = environment.get(PROFILE_VARIABLE, "")
+    return _is_ours(profile, LOCAL) and environment.get(RANGE_VARIABLE, "").upper() == "SYSTEM_DEFAULT"
+
+
+def _decided_by(environment: Mapping[str, str]) -> str:
+    """Returns the first variable, with its value, that decides on the reach; empty if none does."""
+    names = (*_DECIDING, *([PROFILE_VARIABLE] if _foreign_profile(environment) else []))
+    return next((f"{name}={environment[name]}" for name in names if environment.get(name)), "")
+
+
+def _foreign_profile(environment: Mapping[str, str]) -> bool:
+    """Returns whether the environment names a profile that is none of ours."""
+    profile = environment.get(PROFILE_VARIABLE, "")
+    return bool(profile) and not any(_is_ours(profile, reach) for reach in REACHES)
+
+
+def _is_ours(profile: str, reach: str) -> bool:
+    """Returns whether a profile is that of a reach, or a copy of it in another installation."""
+    ours = profile_of(reach)
+    try:
+        return bool(profile) and (Path(profile).samefile(ours) or Path(profile).read_bytes() == ours.read_bytes())
+    except OSError:
+        return False
