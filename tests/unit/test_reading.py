@@ -223,3 +223,4 @@ def test_short_values_are_quoted_as_python_writes_them() -> None:
 def test_long_messages_lose_their_middle() -> None:
     assert clipped("a\n b", 10) == "a b"
     assert clipped("a" * 100 + "b" * 100, 10) == "aaaaa ... bbbbb"
+    assert clipped("é \x1b[31m\0\ud800", 80) == "é \\x1b[31m\\x00\\ud800"

@@ -39,8 +39,14 @@ def quoted(value: object, longest: int = LONGEST) -> str:
 
 
 def clipped(text: str, longest: int) -> str:
-    """Returns a text on one line, its middle left out where it is too long."""
-    line = " ".join(text[: 4 * longest].split())
+    """Returns a text on one line, its middle left out where it is too long, control characters as Python writes them."""
+    line = _plain(text[: 4 * longest])
     if len(line) <= longest and len(text) <= 4 * longest:
         return line
-    return f"{line[: longest // 2]} ... {' '.join(text[-longest // 2 :].split())}"
+    return f"{line[: longest // 2]} ... {_plain(text[-longest // 2 :])}"
+
+
+def _plain(text: str) -> str:
+    """Returns a text on one line, without what moves the cursor or changes colours of a terminal."""
+    line = " ".join(text.split())
+    return line if line.isprintable() else "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)

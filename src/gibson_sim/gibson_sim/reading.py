@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import sys
 from collections.abc import Collection
 from pathlib import Path
 from typing import Any
@@ -69,6 +70,21 @@ def read_file(path: Path, most: int = MAX_TEXT_BYTES) -> bytes:
             if size > most:
                 raise OSError(errno.EFBIG, _too_large("more", most))
     return parts[0] if len(parts) == 1 else b"".join(parts)
+
+
+def read_head(path: Path, most: int) -> bytes:
+    """Returns the first ``most`` bytes of a regular file, however large it is.
+
+    Raises:
+        OSError: it is none, or cannot be read; ``strerror`` says which.
+    """
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+    except ValueError as error:
+        raise OSError(errno.EINVAL, "no file can have this name") from error
+    with open(descriptor, "rb") as file:
+        check_status(os.fstat(descriptor), sys.maxsize)
+        return file.read(most)
 
 
 def is_file(path: Path) -> bool:
@@ -156,10 +172,15 @@ def parse_yaml(text: str | bytes, loader: type = YAML_LOADER) -> Any:
         parser.dispose()
 
 
-def yaml_texts(text: bytes, keys: Collection[str]) -> dict[str, str]:
+def yaml_texts(text: bytes, keys: Collection[str], *, cut: bool = False) -> dict[str, str]:
     """Returns the texts and numbers, as written, that stand in the outermost mapping under some keys; nothing else of it is built.
 
     It reads no further than to the last of the keys, and what follows may be wrong.
+
+    Args:
+        text: the YAML.
+        keys: what to look for.
+        cut: it is the beginning of a text: where it is wrong, what stands before that is returned.
 
     Raises:
         TextError: it is no YAML as far as it was read.
@@ -197,6 +218,8 @@ def yaml_texts(text: bytes, keys: Collection[str]) -> dict[str, str]:
                 count += 1
         return found
     except (yaml.YAMLError, ValueError) as error:
+        if cut:
+            return found
         raise _no_yaml(error) from error
     finally:
         parser.dispose()

@@ -379,7 +379,7 @@ def test_default_sources_that_fail_have_a_code_of_their_own(monkeypatch: pytest.
     def gone() -> tuple[World, ...]:
         raise WorldError(WorldFailure.NO_RESOURCE, "the disk is gone")
 
-    def find(sources: tuple[str, ...], *, continue_on_error: bool) -> tuple[World, ...]:
+    def find(sources: tuple[str, ...], **_: object) -> tuple[World, ...]:
         return (World("there", sources[0]),)
 
     monkeypatch.setattr(catalogue, "own_worlds", gone)

@@ -57,3 +57,38 @@ def test_search_ends_after_so_many_entries_and_levels(tmp_path: Path, monkeypatc
     monkeypatch.setattr(sources, "_MAX_ENTRIES", 5)
     with pytest.raises(GibsonSimError, match="more than 5 files and folders"):
         list(walk(tmp_path))
+
+
+def test_folders_full_of_large_descriptions_are_listed_soon_and_briefly(tmp_path: Path) -> None:
+    for k in range(200):
+        (tmp_path / f"w{k}").mkdir()
+        (tmp_path / f"w{k}" / "scene.yaml").write_text(f"name: world {k}\nobjects:\n" + "- a\n" * 60_000)
+        (tmp_path / f"m{k}").mkdir()
+        (tmp_path / f"m{k}" / "model.config").write_text("<model>" + "<a/>" * 100_000 + "</model>")
+    (tmp_path / "long").mkdir()
+    (tmp_path / "long" / "scene.yaml").write_text(f"name: {'n' * 5000}\ndescription: {'d' * 3000}")
+    (tmp_path / "told").mkdir()
+    (tmp_path / "told" / "model.config").write_text(f"<model><description>{'d' * 50_000}</description></model>")
+    start = time.process_time()
+    worlds = catalogue.available_worlds((str(tmp_path),), TagsFilter(), continue_on_error=False)
+    things, _ = catalogue.spawnables((str(tmp_path),))
+    assert time.process_time() - start < 3.0, "read whole they take half a minute"
+    assert len([world for world in worlds if world.uri.startswith("file:")]) == 201
+    assert "world 17" in {world.name for world in worlds}
+    assert len([thing for thing in things if thing.uri.startswith("file:")]) == 201
+    assert max(len(text) for world in worlds for text in (world.name, world.description)) < 1000
+    assert max(len(thing.description) for thing in things) < 1000
+
+
+def test_folders_of_one_request_count_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sources, "_MAX_ENTRIES", 50)
+    for k in range(10):
+        (tmp_path / f"{k}").mkdir()
+        for name in "abcdefghi":
+            (tmp_path / f"{k}" / f"{name}.glb").touch()
+    folders = tuple(str(tmp_path / f"{k}") for k in range(10))
+    found, remark = catalogue.spawnables(folders)
+    assert len([thing for thing in found if thing.uri.startswith("file:")]) == 45
+    assert "is left out: 50 files and folders were looked at" in remark
+    with pytest.raises(GibsonSimError, match="is left out: 50 files"):
+        catalogue.available_worlds(folders, TagsFilter(), continue_on_error=False)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import math
 import time
+from collections import deque
 from collections.abc import Callable
 from functools import partial
 from threading import Thread
@@ -100,6 +101,9 @@ class SimulationServices:
         self._closed, self._quit_s, self._read_ahead = False, -math.inf, not lockstep
         self._in_order = InOrder(self._run_soon)
         self._goals: dict[bytes, StepRequest] = {}
+        self._searches: deque[Callable[[], None]] = deque()
+        """Searches of folders that wait for the one under way."""
+        self._searching = False
         group = ReentrantCallbackGroup()
         self._services = [
             DeferredService(node, kind, f"{prefix}{name}", partial(self._take, name, handler), callback_group=group)
@@ -294,7 +298,9 @@ class SimulationServices:
         later = Later()
 
         def ended(outcome: str | Exception) -> None:
+            self._searching = False
             later.answer(failed(response, outcome) if isinstance(outcome, Exception) else succeeded(response, outcome))
+            self._search_on()
 
         def run() -> None:
             outcome: str | Exception
@@ -304,8 +310,15 @@ class SimulationServices:
                 outcome = error
             self._run_soon(ended, outcome)
 
-        Thread(target=run, name="look-for-files", daemon=True).start()
+        self._searches.append(run)
+        self._search_on()
         return later
+
+    def _search_on(self) -> None:
+        """Begins the next search unless one is under way: a hundred at once would leave time no processor."""
+        if self._searches and not self._searching:
+            self._searching = True
+            Thread(target=self._searches.popleft(), name="look-for-files", daemon=True).start()
 
     def _get_spawnables(self, request: Any, response: Any) -> Later:
         sources = tuple(request.sources)

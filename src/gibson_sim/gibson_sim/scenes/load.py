@@ -13,7 +13,7 @@ import numpy as np
 
 from gibson_sim.errors import SceneError, SceneNotFoundError
 from gibson_sim.quoting import quoted
-from gibson_sim.reading import is_file, is_folder, read_file
+from gibson_sim.reading import is_file, is_folder, read_head
 from gibson_sim.resources import find_scene
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.builder import SceneBuilder
@@ -27,6 +27,8 @@ from gibson_sim.scenes.uris import ancestors
 _log = logging.getLogger(__name__)
 DESCRIPTION = "scene.yaml"
 _WORLD_TAG = re.compile(rb"<world[\s>]")
+_HEAD_BYTES = 64 * 1024
+"""Of an SDF file that is looked into for a world: it stands at the beginning."""
 _MAX_LISTED = 8
 _MAX_ENTRIES = 200_000
 
@@ -137,7 +139,7 @@ def is_sdf_world(path: Path) -> bool:
     if not is_file(path):
         return False
     try:
-        return path.suffix.lower() == ".sdf" and _WORLD_TAG.search(read_file(path)) is not None
+        return path.suffix.lower() == ".sdf" and _WORLD_TAG.search(read_head(path, _HEAD_BYTES)) is not None
     except OSError:
         return False
 

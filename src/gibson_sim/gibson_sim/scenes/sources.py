@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import unquote
 
 from gibson_sim.errors import SceneError, SceneNotFoundError
-from gibson_sim.reading import exists
+from gibson_sim.reading import exists, read_head
 from gibson_sim.scenes.file_roots import is_inside
 from gibson_sim.scenes.uris import environment_folders, installed_paths
 
@@ -19,6 +21,9 @@ NOWHERE = Path("/nonexistent")
 """Folder of what came as a string: nothing lies beside it."""
 SCHEMES = ("file", "package", "model")
 _MAX_ENTRIES = 20_000
+"""Files and folders that one search looks at."""
+_MAX_SEARCHED_BYTES = 4 * 2**20
+"""Of the descriptions that one search reads."""
 _MAX_LEVELS = 12
 """Folders below a folder that is searched."""
 _MAX_PATH, _MAX_NAME = 4096, 255
@@ -98,19 +103,47 @@ def check_file(path: Path, max_bytes: int) -> None:
         raise SceneNotFoundError(f"{path}: cannot be read: Permission denied")
 
 
-def walk(folder: Path) -> Iterator[tuple[Path, list[str], list[str]]]:
+@dataclass(slots=True)
+class Search:
+    """What one search may still look at; a request of many folders, or of folders full of large files, would never be answered."""
+
+    entries: int = field(default_factory=lambda: _MAX_ENTRIES)
+    read_bytes: int = field(default_factory=lambda: _MAX_SEARCHED_BYTES)
+
+    def head(self, path: Path, most: int) -> bytes:
+        """Returns the first bytes of a file.
+
+        Raises:
+            OSError: it cannot be read, or this search has read enough.
+        """
+        data = read_head(path, most)
+        self.read_bytes -= len(data)
+        if self.read_bytes < 0:
+            raise OSError(errno.EFBIG, "too much was read")
+        return data
+
+
+def walk(folder: Path, search: Search | None = None) -> Iterator[tuple[Path, list[str], list[str]]]:
     """Yields (folder, names of folders, names of files), sorted, nothing hidden, symbolic links not followed.
 
     Whoever removes names from the second does not get these folders.
 
+    Args:
+        folder: where it begins.
+        search: what it counts against; None = a search of its own.
+
     Raises:
         SceneNotFoundError: there are too many files.
     """
-    count = 0
+    left = Search() if search is None else search
+    if left.entries <= 0:
+        raise SceneNotFoundError(
+            f"{folder}: is left out: {_MAX_ENTRIES} files and folders were looked at; name fewer folders at once"
+        )
     top = len(folder.parts)
     for where, folders, files in os.walk(folder):
-        count += len(files) + len(folders)
-        if count > _MAX_ENTRIES:
+        left.entries -= len(files) + len(folders) + 1
+        if left.entries < 0:
             raise SceneNotFoundError(f"{folder}: holds more than {_MAX_ENTRIES} files and folders; name a folder further down")
         if len(Path(where).parts) - top >= _MAX_LEVELS:
             folders.clear()

@@ -8,17 +8,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gibson_sim.errors import RobotError, SceneNotFoundError, TextError
-from gibson_sim.quoting import quoted
-from gibson_sim.reading import exists, is_file, is_folder, parse_xml, read_file
+from gibson_sim.quoting import clipped, quoted
+from gibson_sim.reading import exists, is_file, is_folder, parse_xml, read_head
 from gibson_sim.resources import share_folders
 from gibson_sim.robots.load import ROBOT_FILE, load_robot
 from gibson_sim.scenes.mesh import MESH_SUFFIXES
-from gibson_sim.scenes.sources import path_of, walk
+from gibson_sim.scenes.sources import Search, path_of, walk
 from gibson_sim.types import Vec3
 
 _log = logging.getLogger(__name__)
 _ASSET_FOLDERS = ("mesh", "meshes", "materials", "textures")
 _HEAD_BYTES = 65536
+_MAX_CONFIG_BYTES = 65536
+"""Of a model.config that is only listed."""
+_LONGEST_DESCRIPTION = 500
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,26 +61,27 @@ def find_spawnables(sources: Sequence[str]) -> tuple[Spawnable, ...]:
     return (*ours, *spawnables_below(sources))
 
 
-def spawnables_below(sources: Sequence[str]) -> tuple[Spawnable, ...]:
-    """Returns what can be spawned in ``sources`` alone, by path; for arguments and errors see ``find_spawnables``."""
+def spawnables_below(sources: Sequence[str], search: Search | None = None) -> tuple[Spawnable, ...]:
+    """Returns what can be spawned in ``sources`` alone, by path; for arguments and errors see ``find_spawnables``; ``search``: of ``walk``."""
     theirs: dict[Path, Spawnable] = {}
+    search = Search() if search is None else search
     for source in sources:
         path = path_of(source.strip()) or Path(source.strip()).absolute()
         if not source.strip() or not exists(path):
             raise SceneNotFoundError(f"source {quoted(source)}: there is nothing at {path}; give a folder")
-        for entry in _below(path):
-            theirs[entry] = Spawnable(entry.absolute().as_uri(), _described(entry))
+        for entry in _below(path, search):
+            theirs[entry] = Spawnable(entry.absolute().as_uri(), _described(entry, search))
     return tuple(theirs[path] for path in sorted(theirs))
 
 
-def _below(path: Path) -> list[Path]:
+def _below(path: Path, search: Search) -> list[Path]:
     """Returns what can be spawned in a folder: models and robots as folders; meshes where no description lies beside them."""
     if _kind(path):
         return [path]
     found: list[Path] = []
     # Folders whose meshes, and those below, are parts of what is described there.
     taken: set[Path] = set()
-    for folder, folders, files in walk(path):
+    for folder, folders, files in walk(path, search):
         if folder != path and _kind(folder):
             found.append(folder)
             folders.clear()
@@ -114,19 +118,19 @@ def _holds_model(path: Path) -> bool:
     if not is_file(path):  # a pipe would be waited for
         return False
     try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD_BYTES)
+        head = read_head(path, _HEAD_BYTES)
     except OSError:
         return False
     return b"<model" in head and b"<world" not in head
 
 
-def _described(path: Path) -> str:
+def _described(path: Path, search: Search | None = None) -> str:
     """Returns one line about a file or folder: the text of its model.config, else what it is."""
+    search = Search() if search is None else search
     config = path / "model.config"
     if is_file(config):
         try:
-            text = " ".join((parse_xml(read_file(config)).findtext("description") or "").split())
+            text = clipped(parse_xml(search.head(config, _MAX_CONFIG_BYTES)).findtext("description") or "", _LONGEST_DESCRIPTION)
         except (OSError, TextError):
             text = ""
         if text:

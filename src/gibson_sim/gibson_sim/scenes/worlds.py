@@ -9,23 +9,24 @@ from enum import Enum, auto
 from pathlib import Path
 
 from gibson_sim.errors import MeshError, SceneError, SceneNotFoundError, TextError
-from gibson_sim.quoting import quoted
-from gibson_sim.reading import MAX_TEXT_BYTES, exists, is_file, parse_xml, read_file, yaml_texts
+from gibson_sim.quoting import clipped, quoted
+from gibson_sim.reading import MAX_TEXT_BYTES, exists, is_file, parse_xml, yaml_texts
 from gibson_sim.resources import find_scene, known_scenes
 from gibson_sim.robots.omissions import OmissionKind
 from gibson_sim.scenes.builder import SceneBuilder
 from gibson_sim.scenes.load import DESCRIPTION, description_file, finish, is_sdf_world, read_scene, reader_and_root
 from gibson_sim.scenes.mesh import MESH_SUFFIXES
 from gibson_sim.scenes.sdf_world import place_world
-from gibson_sim.scenes.sources import MAX_BYTES, NOWHERE, check_file, path_of, said, walk
+from gibson_sim.scenes.sources import MAX_BYTES, NOWHERE, Search, check_file, path_of, said, walk
 from gibson_sim.scenes.spec import SceneSpec
 
 _log = logging.getLogger(__name__)
 _DIRECTIVES = (".dmd.yaml", ".dmd.yml")
 _MODEL_FILES = ("model.config", "model.sdf", "robot.yaml", "package.xml")
 """A folder with one of these, or with a URDF, is a model or a package of them: its meshes are no worlds."""
-_MAX_LISTED_BYTES = 256 * 1024
-"""Of a scene.yaml that is only listed; a larger one is listed by the name of its folder."""
+_HEAD_BYTES = 8 * 1024
+"""Of a scene.yaml that is only listed: name and description stand at the beginning."""
+_LONGEST_NAME, _LONGEST_DESCRIPTION = 200, 500
 _TEXT = NOWHERE / "resource_string"
 
 
@@ -103,12 +104,13 @@ def world_of(uri: str) -> World | None:
     return _world(files[0]) if len(files) == 1 else None
 
 
-def worlds_below(sources: Sequence[str], *, continue_on_error: bool = False) -> tuple[World, ...]:
-    """Returns the worlds in ``sources`` alone, by path; for arguments and errors see ``find_worlds``."""
+def worlds_below(sources: Sequence[str], *, continue_on_error: bool = False, search: Search | None = None) -> tuple[World, ...]:
+    """Returns the worlds in ``sources`` alone, by path; for arguments and errors see ``find_worlds``; ``search``: as of ``walk``."""
     theirs: dict[Path, World] = {}
+    search = Search() if search is None else search
     for source in sources:
         try:
-            theirs.update((path, _world(path)) for path in _below(source.strip()))
+            theirs.update((path, _world(path, search=search)) for path in _below(source.strip(), search))
         except SceneNotFoundError as e:
             if not continue_on_error:
                 raise WorldError(WorldFailure.NO_RESOURCE, str(e)).telling(str(e)) from e
@@ -207,7 +209,7 @@ def _code_of(error: BaseException) -> WorldFailure:
     return WorldFailure.RESOURCE_PARSE_ERROR
 
 
-def _below(source: str) -> list[Path]:
+def _below(source: str, search: Search | None = None) -> list[Path]:
     """Returns the files of the worlds in a folder."""
     path = path_of(source) or Path(source).absolute()
     if not source or not exists(path):
@@ -217,7 +219,7 @@ def _below(source: str) -> list[Path]:
     found: list[Path] = []
     # Folders whose meshes, and those below, are parts of something else.
     taken: set[Path] = set()
-    for folder, folders, files in walk(path):
+    for folder, folders, files in walk(path, search):
         if DESCRIPTION in files:
             found.append(folder / DESCRIPTION)
             folders.clear()
@@ -244,16 +246,17 @@ def _tag(path: Path) -> str:
     return "sdf" if name.endswith((".sdf", ".world")) and is_file(path) and is_sdf_world(path) else ""
 
 
-def _world(file: Path, name: str = "") -> World:
+def _world(file: Path, name: str = "", *, search: Search | None = None) -> World:
     """Returns what is known of a world without loading it; ``name``: of a scene of ours."""
+    search = Search() if search is None else search
     tag = _tag(file)
     uri = name or file.absolute().as_uri()
     if tag != DESCRIPTION:
         return World(file.name.split(".")[0], uri, f"{tag} file", (tag,))
     try:
-        texts = yaml_texts(read_file(file, _MAX_LISTED_BYTES), ("name", "description"))
+        texts = yaml_texts(search.head(file, _HEAD_BYTES), ("name", "description"), cut=True)
     except (OSError, TextError):
         # Whoever loads it is told what is wrong with it.
         texts = {}
-    description = " ".join(texts.get("description", "").split())
-    return World(name or texts.get("name") or file.parent.name, uri, description, (tag,))
+    description = clipped(texts.get("description", ""), _LONGEST_DESCRIPTION)
+    return World(name or clipped(texts.get("name", ""), _LONGEST_NAME) or file.parent.name, uri, description, (tag,))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.quoting import quoted
+from gibson_sim.scenes.sources import Search
 from gibson_sim.scenes.spawnables import Spawnable, find_spawnables, spawnables_below
 from gibson_sim.scenes.worlds import World, own_worlds, world_of, worlds_below
 from gibson_sim.simulation.codes import Result, SimulationError, WorldsCode, shortened
@@ -24,9 +25,12 @@ def available_worlds(sources: tuple[str, ...], tags: TagsFilter, *, continue_on_
     tags.check()
     found: dict[str, World] = {}
     failures: list[SimulationError] = []
+    search = Search()
     for source, code in ((None, WorldsCode.DEFAULT_SOURCES_FAILED), *((source, Result.NOT_FOUND) for source in sources)):
         try:
-            worlds = own_worlds() if source is None else worlds_below((source,), continue_on_error=continue_on_error)
+            worlds = (
+                own_worlds() if source is None else worlds_below((source,), continue_on_error=continue_on_error, search=search)
+            )
             found.update({world.uri: world for world in worlds})
         except GibsonSimError as error:
             failures.append(SimulationError(code, str(error)))
@@ -39,9 +43,10 @@ def spawnables(sources: tuple[str, ...]) -> tuple[tuple[Spawnable, ...], str]:
     """Returns what can be spawned, and one line that names the sources with nothing to spawn: they do not make the request fail."""
     found = {spawnable.uri: spawnable for spawnable in find_spawnables(())}
     failures = []
+    search = Search()
     for source in sources:
         try:
-            found.update({spawnable.uri: spawnable for spawnable in spawnables_below((source,))})
+            found.update({spawnable.uri: spawnable for spawnable in spawnables_below((source,), search)})
         except GibsonSimError as error:
             failures.append(f"source {quoted(source)}: {error}")
     return tuple(found.values()), shortened("; ".join(failures))
