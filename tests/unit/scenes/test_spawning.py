@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from pathlib import Path
@@ -572,3 +573,15 @@ def test_name_of_a_model_that_means_harm_costs_no_time() -> None:
     begin = time.process_time()
     assert len(class_from_model("_1" * 200_000 + "x")) <= 200
     assert time.process_time() - begin < 1.0, "going back over it takes minutes"
+
+
+def test_nodes_of_a_gltf_are_counted_before_they_are_gone_through(tmp_path: Path) -> None:
+    nodes = [{"mesh": 0}] * (10 * MAX_PARTS + 1)
+    text = json.dumps({"asset": {"version": "2.0"}, "nodes": nodes, "meshes": [{"primitives": []}]})
+    (tmp_path / "a.gltf").write_text(text)
+    assert "has 20001 nodes, must have at most 20000" in str(_error(str(tmp_path / "a.gltf")))
+
+
+def test_links_of_a_urdf_are_counted_before_they_are_read() -> None:
+    links = "".join(f"<link name='l{k}'/>" for k in range(20_000))
+    assert "has 20000 links, must be at most 500" in str(_error(text=f"<robot name='r'>{links}</robot>"))

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from gibson_sim.robots.mesh_files import package_folders
 
-LIMIT_S = 20
+LIMIT_S = 10
 """Processor time that one xacro may take, seconds: ``${9**9**9}`` never ends."""
 LIMIT_BYTES = 2 * 2**30
 """Of address space: ``${'x' * 10**10}`` asks for more than a machine has."""

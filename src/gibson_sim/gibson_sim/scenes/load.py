@@ -30,7 +30,7 @@ _WORLD_TAG = re.compile(rb"<world[\s>]")
 _HEAD_BYTES = 64 * 1024
 """Of an SDF file that is looked into for a world: it stands at the beginning."""
 _MAX_LISTED = 8
-_MAX_ENTRIES = 200_000
+_MAX_ENTRIES = 50_000
 
 
 def load_scene(name_or_path: str | Path, *, sdf_lamps: bool = False) -> SceneSpec:

@@ -46,6 +46,9 @@ _MAX_BUFFER_BYTES = 2**30
 _MAX_ELEMENTS = 100_000_000
 _MAX_VALUES = 2_000_000
 """Commas of the JSON: of a house with 20,000 nodes there are 1 million. Their bytes do not matter, a buffer may be written out in it."""
+_MAX_NODES = 100_000
+_NODES_OF_A_PART = 10
+"""Nodes for each part that is allowed: most hold none, and each takes time."""
 _ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 _KNOWN_EXTENSIONS = {
     "KHR_materials_unlit", "KHR_texture_transform", "KHR_mesh_quantization", "KHR_materials_pbrSpecularGlossiness",
@@ -134,6 +137,10 @@ class _Reader:
         if "EXT_mesh_gpu_instancing" in self.document.get("extensionsUsed", []):
             self.warn(f"{self.path}: EXT_mesh_gpu_instancing is not supported; only one of each instanced mesh is drawn")
         parts: list[MeshPart] = []
+        nodes, allowed = len(self.document.get("nodes", [])), min(_MAX_NODES, _NODES_OF_A_PART * (most or _MAX_NODES))
+        if nodes > allowed:
+            reason = f"has {nodes} nodes, must have at most {allowed}; join its meshes"
+            raise MeshError(f"{self.path}: {reason}").telling(reason)
         for node, matrix in self._nodes():
             if "mesh" not in node:
                 continue

@@ -26,7 +26,7 @@ from gibson_sim.scenes.file_roots import description_roots
 from gibson_sim.scenes.mesh import MESH_SUFFIXES, MeshLoader
 from gibson_sim.scenes.mesh_body import mesh_body
 from gibson_sim.scenes.plausible import check_plausible
-from gibson_sim.scenes.sdf_body import WORLD, SdfBodyReader
+from gibson_sim.scenes.sdf_body import MAX_LINKS, WORLD, SdfBodyReader
 from gibson_sim.scenes.sdf_model import SdfModels, sdf_files, sdf_version
 from gibson_sim.scenes.sources import MAX_BYTES, NOWHERE, check_file, check_inside, path_of, said
 from gibson_sim.scenes.spawnables import Spawnable, find_spawnables, own_spawnables
@@ -206,6 +206,13 @@ def _described(data: bytes, path: Path, name: str, pose: Pose, roots: tuple[Path
     root = ancestors(folder)[-1] if from_file and ancestors(folder) else folder
     uris = UriResolver(root, folder)
     if top.tag == "robot":
+        # Before anything is made of them: of each link there are many values.
+        links = len(top.findall("link"))
+        if links > MAX_LINKS:
+            reason = f"has {links} links, must be at most {MAX_LINKS}; split it"
+            raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, f"{path}: {reason}").telling(
+                f"{_TOLD[SpawnFailure.RESOURCE_PARSE_ERROR]}: {reason}"
+            )
         return _urdf(data, path, name, pose, roots, uris, from_file=from_file)
     if top.tag in ("sdf", "gazebo"):
         return _sdf(top, path, name, pose, roots, uris)
