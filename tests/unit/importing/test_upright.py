@@ -15,7 +15,7 @@ from gibson_sim.importing.check import Finding, Report, check_path
 from gibson_sim.importing.document import rpy_deg
 from gibson_sim.importing.facts import SceneFacts
 from gibson_sim.importing.fix import Fix, fix_scene, made_worse
-from gibson_sim.importing.gravity import direction, direction_text, guess_up, level_near, rotation_to_z
+from gibson_sim.importing.gravity import UpGuess, direction, direction_text, guess_up, level_near, rotation_to_z
 from gibson_sim.importing.run import Choices, import_scene
 from support.interiors import box_faces, room, triangles, turned, write_obj
 from support.plys import ply
@@ -342,3 +342,47 @@ def test_what_tells_up_from_down_hardly_depends_on_how_the_mesh_is_turned() -> N
         assert patches is not None
         cues.append(next(c.cues[2:] for c in find_candidates(patches) if float(np.asarray(c.up) @ rotation[:, 2]) > 0.99))
     assert np.ptp(np.array(cues), axis=0).max() < 0.08, np.round(cues, 2)
+
+
+def test_the_floor_of_a_scene_that_sloped_is_found_anew(tmp_path: Path) -> None:
+    corners, quads = room()
+    write_obj(tmp_path / "room.obj", turned(corners + np.array([2.0, 1.0, 0.0]), 1, 12.0), quads)
+    report = check_path(tmp_path / "room.obj")
+    assert report.scene is not None and report.scene.floor_estimated
+    _, mended = fix_scene(report, tmp_path / "b", Fix(up=tuple(turned(np.array([[0.0, 0.0, 1.0]]), 1, 12.0)[0])))
+    assert mended.scene is not None
+    assert mended.scene.floors == pytest.approx((0.0,), abs=0.01)
+    assert "no-room" not in {f.what for f in mended.findings}
+
+
+SIDES = [np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]]), np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]]), np.diag([1, -1, -1])]
+
+
+@pytest.mark.parametrize("side", range(3))
+def test_a_scan_that_stands_on_a_wall_or_its_ceiling_does_not_pass_for_upright(side: int) -> None:
+    vertices, faces = NOISY
+    middle = vertices[faces].mean(axis=1)
+    inside = (middle[:, :2] > 0.2).all(axis=1) & (middle[:, 0] < 3.0) & (middle[:, 1] < 4.8)
+    empty = faces[~(inside & (middle[:, 2] > 0.1) & (middle[:, 2] < 2.2))]
+    open_above = faces[middle[:, 2] < 2.2]
+    either_way = np.where(np.random.default_rng(0).random(len(open_above))[:, None] < 0.5, open_above, open_above[:, ::-1])
+    kept = either_way if side == 2 else empty
+    for rotation in (SIDES[side], SIDES[side].T):
+        assert verdict(vertices, kept, rotation.astype(np.float64)) == "not sure"
+    assert verdict(vertices, kept, np.eye(3)) == "upright"
+
+
+def test_what_is_unclear_stays_so_until_somebody_says_which_way_is_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    corners, quads = room()
+    write_obj(tmp_path / "room.obj", corners, quads)
+    unsure = UpGuess((0.0, 0.0, 1.0), False, ((0.0, 0.0, -1.0), (0.0, 0.0, 1.0)))
+    with monkeypatch.context() as patch:
+        patch.setattr("gibson_sim.importing.importers.guess_up", lambda *_, **__: unsure)
+        assert _run("import", tmp_path / "room.obj", "--output", tmp_path / "in") == 0
+    assert _run("check", tmp_path / "in") == 1
+    assert _run("check", tmp_path / "in", "--fix", "--output", tmp_path / "a") == 1
+    assert "up-unclear: room.obj: which way is up is not clear: it may be -z; z of the file" in capsys.readouterr().out
+    assert _run("check", tmp_path / "a", "--fix", "--up=z", "--output", tmp_path / "b") == 0
+    assert _run("check", tmp_path / "b") == 0

@@ -13,7 +13,7 @@ from gibson_sim.errors import GibsonSimError, SceneError
 from gibson_sim.geometry.triangles import areas_of, unit_normals
 from gibson_sim.importing.carried import is_begun, missing, out_of_date
 from gibson_sim.importing.document import ASSETS
-from gibson_sim.importing.facts import Geometry, SceneFacts, former_up, scene_facts, scene_geometry
+from gibson_sim.importing.facts import Geometry, SceneFacts, former_up, is_told, scene_facts, scene_geometry
 from gibson_sim.importing.faults import MeshFaults, find_faults
 from gibson_sim.importing.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, UNITS, UpGuess, direction_text, guess_up
 from gibson_sim.importing.islands import islands
@@ -98,11 +98,11 @@ def check_scene(scene: SceneSpec) -> Report:
         MeshError: a mesh cannot be read.
     """
     geometry = scene_geometry(scene)
-    guess = guess_up(geometry.vertices, geometry.triangles, former_up(scene))
+    guess = guess_up(geometry.vertices, geometry.triangles, former_up(scene), is_told(scene))
     facts = scene_facts(scene, geometry, guess)
     findings = [
         *_orientation(facts, guess), *_unit(facts), *_meshes(geometry), *_textures(facts), *_floor(scene, geometry, facts), *_starts(scene, facts),
-        *_omissions(scene, geometry), *_carried(scene),
+        *_omissions(scene, geometry, guess), *_carried(scene),
     ]  # fmt: skip
     order = {"error": 0, "warning": 1, "note": 2}
     return Report(tuple(sorted(findings, key=lambda f: order[f.level])), facts, scene, geometry)
@@ -240,8 +240,17 @@ def _starts(scene: SceneSpec, facts: SceneFacts) -> Iterator[Finding]:
                               f"{ROBOT_RADIUS} m{there}", "move it in scene.yaml")  # fmt: skip
 
 
-def _omissions(scene: SceneSpec, geometry: Geometry) -> Iterator[Finding]:
+def _omissions(scene: SceneSpec, geometry: Geometry, guess: UpGuess) -> Iterator[Finding]:
     for line in left_out(scene, geometry):
+        if kind_of(line) is OmissionKind.UP_UNCLEAR:
+            if guess.sure and guess.tilt_deg <= ON_ITS_SIDE_DEG:
+                yield Finding(
+                    "up-unclear",
+                    "warning",
+                    line,
+                    "look at it, then: --fix --up=z keeps it as it is; any other direction turns it",
+                )
+            continue
         missing = kind_of(line) in (OmissionKind.MISSING_ASSET, OmissionKind.UNSUPPORTED_ASSET)
         texture = "texture" in line and missing
         yield Finding(

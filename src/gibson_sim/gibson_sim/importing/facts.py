@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
 from gibson_sim.importing.gravity import ON_ITS_SIDE_DEG, UpGuess, direction_text, guess_unit, guess_up
+from gibson_sim.reading import is_file
 from gibson_sim.robots.spec import VisualSpec
+from gibson_sim.scenes.load import DESCRIPTION
 from gibson_sim.scenes.mesh import MeshLoader, scene_roots
 from gibson_sim.scenes.mesh_types import Mesh, TextureSource, merge
 from gibson_sim.scenes.spec import SceneSpec
@@ -20,6 +22,8 @@ from gibson_sim.types import Vec3
 
 F64 = NDArray[np.float64]
 _MOST_LISTED = 12
+UNTOLD_SUFFIXES = (".ply", ".obj", ".stl")
+"""Of files whose format does not say which axis is up."""
 _SAME_TURN = 1e-6
 """Entries of rotation matrices that differ by more are of two turns."""
 
@@ -144,7 +148,7 @@ def scene_facts(scene: SceneSpec, geometry: Geometry | None = None, up: UpGuess 
         MeshError: a mesh cannot be read.
     """
     g = geometry or scene_geometry(scene)
-    guess = up or guess_up(g.vertices, g.triangles, former_up(scene))
+    guess = up or guess_up(g.vertices, g.triangles, former_up(scene), is_told(scene))
     low, high = (g.vertices.min(axis=0), g.vertices.max(axis=0)) if len(g.vertices) else (np.zeros(3), np.zeros(3))
     loader = MeshLoader(scene_roots(scene), textures=False)
     materials = {p.material for _, m in g.meshes for p in m.parts}
@@ -162,6 +166,12 @@ def scene_facts(scene: SceneSpec, geometry: Geometry | None = None, up: UpGuess 
         floors=tuple(scene.floors), classes=classes, bodies=len(scene.bodies), starts=tuple(s.name for s in scene.starts),
         warnings=tuple(map(str, scene.warnings)),
     )  # fmt: skip
+
+
+def is_told(scene: SceneSpec) -> bool:
+    """Returns whether somebody, or the format of its files, says that z is up in a scene: all but a single mesh as scanners write them."""
+    suffixes = [Path(visual.shape.mesh).suffix.lower() for visual in scene.visuals]
+    return is_file(scene.root / DESCRIPTION) or len(suffixes) != 1 or suffixes[0] not in UNTOLD_SUFFIXES
 
 
 def former_up(scene: SceneSpec) -> Vec3 | None:

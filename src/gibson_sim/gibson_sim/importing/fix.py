@@ -16,12 +16,13 @@ from gibson_sim.geometry.transforms import matrix_from_pose
 from gibson_sim.geometry.triangles import areas_of, unit_normals
 from gibson_sim.importing.check import MAX_SIDE, NEED_UPRIGHT, Report, check_path, left_out
 from gibson_sim.importing.document import SIMPLIFIED, ImportedObject, ImportedScene, write_scene
-from gibson_sim.importing.facts import former_up
+from gibson_sim.importing.facts import former_up, is_told
 from gibson_sim.importing.faults import find_faults
 from gibson_sim.importing.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, guess_up, level_near, rotation_to_z
 from gibson_sim.importing.importers import UNSEEN, assigned, light_document
 from gibson_sim.importing.labels import some_triangles
 from gibson_sim.quoting import quoted
+from gibson_sim.robots.omissions import Omission, OmissionKind, kind_of
 from gibson_sim.robots.spec import Shape
 from gibson_sim.scenes.mesh import MeshLoader, scene_roots
 from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart, TextureSource
@@ -78,7 +79,7 @@ def fix_scene(report: Report, output: Path, fix: Fix) -> tuple[Path, Report]:
     if fix.level:
         g = report.geometry
         up = (
-            guess_up(g.vertices, g.triangles, former_up(scene)).up
+            guess_up(g.vertices, g.triangles, former_up(scene), is_told(scene)).up
             if fix.up is None
             else level_near(g.vertices, g.triangles, fix.up)
         )
@@ -92,10 +93,16 @@ def fix_scene(report: Report, output: Path, fix: Fix) -> tuple[Path, Report]:
         out.floors, out.ground_z, out.rooms = (
             (scene.floors, scene.ground_z, scene.rooms) if not moved else _turned_floors(report, matrix)
         )
+        if moved and scene.floor_estimated:
+            # An estimate in a scene that slopes is none: it is made anew in the mended one.
+            out.floors = ()
     out.light, out.gravity = light_document(scene.light), None if scene.gravity == (0.0, 0.0, -9.81) else scene.gravity
     out.starts = [_start(s.name, s.pose, matrix) for s in scene.starts]
     out.objects = list(_objects(scene, matrix, textures))
-    out.warnings = left_out(scene, report.geometry)
+    out.warnings = [line for line in left_out(scene, report.geometry) if kind_of(line) is not OmissionKind.UP_UNCLEAR]
+    out.warnings += [
+        Omission(f.text, OmissionKind.UP_UNCLEAR) for f in report.findings if f.what == "up-unclear" and fix.up is None
+    ]
     file = write_scene(out, output)
     mended = check_path(file)
     worse = made_worse(report, mended)

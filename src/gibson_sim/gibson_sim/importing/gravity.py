@@ -32,6 +32,8 @@ _NOISE = {"facing": 0.1, "clutter": 0.02, "bounds": 0.05, "outside": 0.1}
 """Of these cues: less says nothing."""
 _UPRIGHT_DEG = 2.0
 """What is this near to the scene's z is up unless another direction surely is."""
+_LIKELY, _LIKELY_TOLD = 0.25, 0.003
+"""So much as likely as the likeliest direction z must be to pass for up; where the format says that it is, the lesser one."""
 _TILTED = ((5.0, 30.0), (ON_ITS_SIDE_DEG, 4.5))
 """Angle to z, degrees, and odds for a direction within it: scans are held nearly upright more often than not."""
 _TURNED_ODDS = 30.0
@@ -75,10 +77,10 @@ class UpGuess:
         return names[int(np.abs(self.up).argmax())]
 
 
-def guess_up(vertices: F64, triangles: NDArray[np.integer], former: Vec3 | None = None) -> UpGuess:
+def guess_up(vertices: F64, triangles: NDArray[np.integer], former: Vec3 | None = None, told: bool = False) -> UpGuess:
     """Returns which way is up, and whether that is sure.
 
-    All directions are looked at. A mesh that is upright already stays so unless another direction surely is up; one that is a little
+    All directions are looked at. A mesh that is upright already stays so unless another direction is much likelier; one that is a little
     tilted needs less evidence than one that lies on its side or is turned anyhow. Where evidence is weak, as in an empty room, nothing is
     said to be sure.
 
@@ -87,16 +89,17 @@ def guess_up(vertices: F64, triangles: NDArray[np.integer], former: Vec3 | None 
         triangles: (F, 3).
         former: where z of the mesh pointed before a pose turned it, unit vector; None = it was not turned. Whoever turned it may have
             taken a wall for the floor, and so its z is good evidence, but no more than that.
+        told: whether somebody, or the format of the file, says that z is up; formats of scans do not.
     """
     patches = _patches(vertices, triangles)
     found = [] if patches is None else find_candidates(patches)
     if not found:
         return UpGuess((0.0, 0.0, 1.0), True)
-    guess = _guess(found)
+    guess = _guess(found, told)
     return guess if former is None or (guess.sure and guess.tilt_deg > _UPRIGHT_DEG) else _guess_turned(found, former)
 
 
-def _guess(found: Sequence[Candidate]) -> UpGuess:
+def _guess(found: Sequence[Candidate], told: bool) -> UpGuess:
     best = found[0]
     upright = max(found, key=lambda c: c.up[2])
     tilt = _degrees(upright.up[2])
@@ -109,7 +112,9 @@ def _guess(found: Sequence[Candidate]) -> UpGuess:
     if _chance(best, _ALONG_ODDS if along else 1.0) >= _SURE and _agree(best) and not _one_sided(best):
         return UpGuess(best.up, True)
     nearly = _TILTED[0][1] * upright.chance > best.chance * _SURE / (1.0 - _SURE)
-    return UpGuess(upright.up, True) if tilt <= _UPRIGHT_DEG or (tilt <= _TILTED[0][0] and nearly) else _unclear(found)
+    likely = upright.chance >= best.chance * (_LIKELY_TOLD if told else _LIKELY)
+    stays = likely if tilt <= _UPRIGHT_DEG else tilt <= _TILTED[0][0] and nearly
+    return UpGuess(upright.up, True) if stays else _unclear(found)
 
 
 def _guess_turned(found: Sequence[Candidate], former: Vec3) -> UpGuess:

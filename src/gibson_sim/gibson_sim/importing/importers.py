@@ -12,6 +12,7 @@ import numpy as np
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import matrix_from_pose, quat_from_matrix
 from gibson_sim.importing.document import BAKED_LIGHT, SIMPLIFIED, FloorPicture, ImportedObject, ImportedScene
+from gibson_sim.importing.facts import UNTOLD_SUFFIXES
 from gibson_sim.importing.floor_pictures import GIBSON_RESOLUTION
 from gibson_sim.importing.gravity import ON_ITS_SIDE_DEG, direction_text, guess_up, rotation_to_z
 from gibson_sim.importing.hm3d import labelled_faces_of_textures
@@ -19,7 +20,7 @@ from gibson_sim.importing.labels import LabelledFaces, class_name, habitat_class
 from gibson_sim.importing.scans import is_scan
 from gibson_sim.importing.sources import MAX_BYTES, Kind, Source
 from gibson_sim.importing.usd import read_usd
-from gibson_sim.robots.omissions import Omission, kind_of
+from gibson_sim.robots.omissions import Omission, OmissionKind, kind_of
 from gibson_sim.robots.spec import Shape, VisualSpec
 from gibson_sim.scenes.load import read_scene
 from gibson_sim.scenes.mesh import MeshLoader, scene_roots
@@ -236,16 +237,17 @@ def _up_of(scene: ImportedScene, mesh: Mesh) -> tuple[UpAxis | None, Vec3 | None
     Scans that were put together in the frame of their first camera have y down, or are turned anyhow.
     """
     vertices, triangles = mesh.merged()
-    guess = guess_up(vertices, triangles)
+    guess = guess_up(vertices, triangles, told=mesh.files[0].suffix.lower() not in UNTOLD_SUFFIXES)
     to_file = TO_Z_UP[mesh.up_axis].T
     name = mesh.files[0].name
     if not guess.sure:
         listed = "; ".join(direction_text(to_file @ np.asarray(up)) for up in guess.others)
         first = direction_text(to_file @ np.asarray(guess.others[0]))
-        scene.warnings.append(
+        text = (
             f"{name}: which way is up is not clear: it may be {listed} of the file; {mesh.up_axis} is taken, as the format says; "
             f"--up-axis={first} says otherwise"
         )
+        scene.warnings.append(Omission(text, OmissionKind.UP_UNCLEAR))
         return None, None
     if guess.tilt_deg <= ON_ITS_SIDE_DEG:
         return None, None

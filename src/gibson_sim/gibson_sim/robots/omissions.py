@@ -18,6 +18,8 @@ class OmissionKind(Enum):
     """A mesh or texture that is there and cannot be used."""
     UNSUPPORTED_ELEMENT = auto()
     """A kind of thing that is not simulated."""
+    UP_UNCLEAR = auto()
+    """Which way is up could not be told, and nobody has said it yet."""
 
 
 class Omission(str):

@@ -232,7 +232,7 @@ class SceneBuilder:
         return SceneSpec(
             self.name, self.root, self.digest(), tuple(self.visuals), tuple(self.collisions), self.ground_z, floor_z,
             self.gravity, tuple(self.starts), self.light, (), tuple(self.warnings), bodies=tuple(self.bodies),
-            other_floors=self.floors, rooms=tuple(self.rooms),
+            other_floors=self.floors, rooms=tuple(self.rooms), floor_estimated=self.floor_z is None,
         )  # fmt: skip
 
     def digest(self) -> str:

@@ -121,6 +121,8 @@ class SceneSpec:
     """Heights of the floors beside ``floor_z``, metres."""
     rooms: tuple[RoomSpec, ...] = ()
     """Rooms that the scene names."""
+    floor_estimated: bool = False
+    """Whether no file says ``floor_z``: most of what faces up in the lowest metre lies there."""
 
     @property
     def floors(self) -> tuple[float, ...]:
