@@ -149,6 +149,16 @@ def test_messages_that_never_came_are_counted_and_told(source: Source) -> None:
     assert any("WARNING: messages were lost on the way: /short" in line for line in recorder.lines)
 
 
+def test_topics_that_no_node_publishes_are_named_with_the_nearest_one(source: Source) -> None:
+    recorder = source.record(topics="text,short,room,txt,/nothing_like_it")
+    source.say("a", at_ns=1)
+    source.wait_until_delivered()
+    assert set(source.stop()["absent"]) == {"/txt", "/nothing_like_it"}
+    warnings = [line for line in recorder.lines if line.startswith("WARNING: nothing is recorded of")]
+    assert warnings[0] == "WARNING: nothing is recorded of /nothing_like_it, which no node publishes"
+    assert warnings[1] == "WARNING: nothing is recorded of /txt, which no node publishes; did you mean '/text'?"
+
+
 def test_services_pause_resume_and_split(source: Source) -> None:
     source.record()
     call = source.control.call

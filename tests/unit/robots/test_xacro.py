@@ -239,3 +239,20 @@ def test_runs_at_the_same_time_share_the_cache(package: Path) -> None:
         paths = list(pool.map(lambda _: plain_description(package / "urdf/r.urdf.xacro", {"wide": "0.3"}), range(4)))
     assert len(set(paths)) == 1
     assert [file.name for file in paths[0].parent.iterdir()] == ["r.urdf"]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="wheel"><link name="a"/></xacro:macro></robot>',
+         "expands to no <link>; if it has macros alone, give the xacro that calls them"),
+        ('<sdf version="1.7" xmlns:xacro="http://www.ros.org/wiki/xacro"><model name="m"><link name="a"/></model></sdf>',
+         "expands to an SDF model, which is spawned as a body"),
+    ],
+)  # fmt: skip
+def test_what_expands_to_no_robot_is_refused_under_its_own_name(needs_xacro: None, tmp_path: Path, text: str, said: str) -> None:
+    file = tmp_path / "part.urdf.xacro"
+    file.write_text(text)
+    with pytest.raises(RobotError) as caught:
+        plain_description(file, {})
+    assert str(caught.value).startswith(f"{file}: ") and said in str(caught.value)

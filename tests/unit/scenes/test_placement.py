@@ -59,6 +59,11 @@ def test_other_start_is_refused_and_the_known_ones_are_named(room: SceneSpec, st
         _xyz_and_yaw(room, start)
 
 
+def test_start_that_is_nearly_a_known_one_is_answered_with_it(room: SceneSpec) -> None:
+    with pytest.raises(ConfigError, match="did you mean 'middle'"):
+        _xyz_and_yaw(room, "midle")
+
+
 def test_populated_scene_holds_the_robot_at_its_start(tmp_path: Path) -> None:
     scene = populate(str(write_room(tmp_path)), "gibson_bot", "1,0.5,180")
     (robot,) = scene.robots

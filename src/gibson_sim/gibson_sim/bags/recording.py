@@ -305,6 +305,8 @@ def report_lines(summary: dict[str, Any]) -> list[str]:
     if any(missing.values()):
         names = ", ".join(f"{topic} {count}" for topic, count in sorted(missing.items()) if count)
         lines.append(f"WARNING: messages were lost on the way: {names}; record fewer topics, or on a faster machine or disk")
+    for topic, hint in summary.get("absent", {}).items():
+        lines.append(f"WARNING: nothing is recorded of {topic}, which no node publishes{f'; {hint}' if hint else ''}")
     if summary["error"]:
         lines.append(f"WARNING: the recording ended early: {summary['error']}")
     return lines

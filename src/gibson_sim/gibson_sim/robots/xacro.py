@@ -133,7 +133,20 @@ def _expanded(path: Path, arguments: Mapping[str, str]) -> bytes:
     if done.returncode:
         reason = clipped(_reason(done.stderr[-_MOST_SAID:].decode(errors="replace")), _LONGEST_REASON)
         raise RobotError(f"{path}: xacro refuses it: {reason}{_takes(path, arguments, reason)}")
+    _check_robot(path, done.stdout)
     return done.stdout
+
+
+def _check_robot(path: Path, data: bytes) -> None:
+    """Refuses what a xacro expands to where it is no robot, with the name of the xacro; who reads it says what else is wrong."""
+    try:
+        top = parse_xml(data)
+    except TextError:
+        return
+    if top.tag == "sdf":
+        raise RobotError(f"{path}: expands to an SDF model, which is spawned as a body; give a URDF or a xacro of one")
+    if top.find("link") is None:
+        raise RobotError(f"{path}: expands to no <link>; if it has macros alone, give the xacro that calls them")
 
 
 def _takes(path: Path, arguments: Mapping[str, str], reason: str) -> str:

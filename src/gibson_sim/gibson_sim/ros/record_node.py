@@ -24,6 +24,7 @@ from gibson_sim.ros.lockstep_client import MATCHING_S, SETTLED_S, LockstepPartic
 from gibson_sim.ros.node_main import goes_on, run_node, started_by_launcher, write_summary
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.ros.record_services import offer_services
+from gibson_sim.settings import nearest
 from gibson_sim.simulation.lockstep import CAMERAS
 
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
@@ -72,6 +73,8 @@ class RecordNode(Node):
         self._wanted = {self.resolve_topic_name(topic) for topic in config.wanted_topics()}
         self._recording = Recording(config)
         self._seen: set[str] = set()
+        self._topics: set[str] = set()
+        """All that there were at any time."""
         self._unheard: dict[str, float] = {}
         self._lockstep: LockstepParticipant | None = None
         self._latched: set[str] = set()
@@ -92,7 +95,9 @@ class RecordNode(Node):
         assert self._intake is not None
         known, unheard = len(self._seen), self._intake.count_publishers()
         self._warn_of_unheard(unheard)
-        found = {topic for topic, _ in self.get_topic_names_and_types() if topic not in self._seen and self._is_wanted(topic)}
+        topics = {topic for topic, _ in self.get_topic_names_and_types()}
+        self._topics |= topics
+        found = {topic for topic in topics if topic not in self._seen and self._is_wanted(topic)}
         last = (f"/{names.SCENE_STATE}", f"/{names.GROUND_TRUTH}")
         for topic in sorted(found, key=lambda t: (t.endswith(last), t)):
             publishers = self.get_publishers_info_by_topic(topic)
@@ -230,6 +235,7 @@ class RecordNode(Node):
             return
         self._recording.close()
         summary = {**self._recording.summary(), "lost": intake.lost(), "message_lost": intake.reported_lost()}
+        summary["absent"] = {topic: nearest(topic, sorted(self._topics - {topic})) for topic in sorted(self._wanted - self._seen)}
         intake.close()
         write_summary(self._config.summary_path, summary)
         lines = report_lines(summary)

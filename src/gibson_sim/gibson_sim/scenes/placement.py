@@ -17,6 +17,7 @@ from gibson_sim.scenes.load import load_scene, with_robots
 from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.scenes.tour import choose_start
+from gibson_sim.settings import nearest
 from gibson_sim.types import Pose
 
 logger = logging.getLogger(__name__)
@@ -105,9 +106,10 @@ def start_pose(scene: SceneSpec, robot: RobotSpec, start: str) -> Pose:
     if start:
         numbers = _three_numbers(start)
         if numbers is None:
-            known = ", ".join(named) or "none in this scene"
+            known, hint = ", ".join(named) or "none in this scene", nearest(start, tuple(named))
             raise ConfigError(
                 f"start is {quoted(start)}, must be x,y,yaw_deg in metres and degrees, or the name of a start pose: {known}"
+                f"{f'; {hint}' if hint else ''}"
             )
         x, y, yaw_deg = numbers
         return pose_from_xyz_rpy((x, y, scene.floor_z), (0.0, 0.0, math.radians(yaw_deg)))
