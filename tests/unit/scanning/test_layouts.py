@@ -138,6 +138,13 @@ m_calibrationDepthIntrinsic = 10 0 5.5 0 0 11 3.5 0 0 0 1 0 0 0 0 1
     ("name", "text"),
     [
         ("camera-intrinsics.txt", " 1.0e+01 0 5.5 \n 0 11 3.5\n0 0 1\n"),
+        ("camera.txt", "# Kinect\nfx: 10\nfy: 11\ncx: 5.5\ncy: 3.5\n"),
+        ("kinect_params.txt", "fx=10, fy=11, cx=5.5, cy=3.5"),
+        ("intrinsics.txt", "12 8 10 11 5.5 3.5"),
+        (
+            "calibration.yml",
+            "%YAML:1.0\n---\ncameraMatrix: !!opencv-matrix\n  rows: 3\n  cols: 3\n  dt: d\n  data: [10., 0., 5.5, 0., 11., 3.5, 0., 0., 1.]\n",
+        ),
         ("intrinsic/intrinsic_depth.txt", "10 0 5.5 0\n0 11 3.5 0\n0 0 1 0\n0 0 0 1\n"),
         ("calibration.txt", "# fx fy cx cy\n10, 11, 5.5, 3.5\n"),
         ("camera.json", '{"fx": 10, "fy": 11, "cx": 5.5, "cy": 3.5}'),
@@ -177,6 +184,16 @@ def test_a_file_of_open3ds_name_that_holds_none_is_an_error(tmp_path, text):
     folder = open3d_folder(tmp_path / "set")
     (folder / "camera_intrinsic.json").write_text(text)
     with pytest.raises(ScanError, match=r"camera_intrinsic\.json"):
+        open_posed_rgbd(folder)
+
+
+def test_a_file_that_is_not_read_is_named_where_the_size_does_not_fit(tmp_path):
+    folder = open3d_folder(tmp_path / "set")
+    (folder / "camera_intrinsic.json").unlink()
+    (folder / "camera.txt").write_text("a nice camera")
+    with pytest.raises(
+        ScanError, match=r"the intrinsics are for 640x480; give those.*; .*camera\.txt is not read: no intrinsics are in it"
+    ):
         open_posed_rgbd(folder)
 
 

@@ -11,17 +11,20 @@ import numpy as np
 
 from gibson_sim.errors import GibsonSimError, TextError
 from gibson_sim.quoting import quoted
-from gibson_sim.reading import is_file, is_folder, read_file, read_yaml_file
+from gibson_sim.reading import MAX_YAML_BYTES, is_file, is_folder, parse_yaml, read_file
 from gibson_sim.scanning.posed_rgbd import Intrinsics, ScanError
 from gibson_sim.writing import write_file
 
 INTRINSIC_FILES = ("intrinsic.json", "camera_intrinsic.json", "intrinsics.json", "camera_intrinsics.json")
 """Names that are looked for first."""
-_NAMED = re.compile(r"(intrinsic|calib|camera|^_?info\.txt$|.*\.info\.txt$)", re.IGNORECASE)
+_NAMED = re.compile(r"(intrinsic|calib|camera|kinect|^(depth_?)?k\.txt$|^_?info\.txt$|.*\.info\.txt$)", re.IGNORECASE)
 _ENDINGS = (".json", ".txt", ".yaml", ".yml")
 _FOLDERS = ("", "intrinsic", "intrinsics", "camera", "calibration")
-_KEYS = ("intrinsic_matrix", "camera_matrix", "K", "k")
+_KEYS = ("intrinsic_matrix", "camera_matrix", "cameraMatrix", "K", "k")
+_FOUR = ("fx", "fy", "cx", "cy")
 _NO_MATRIX = "no intrinsics are in it: neither fx, fy, cx, cy nor a matrix of 3x3 or 4x4 numbers"
+_NAMED_NUMBER = re.compile(r"\b(fx|fy|cx|cy|width|height)\s*[:=]\s*([-+.\deE]+)", re.IGNORECASE)
+_OPENCV = re.compile(rb"\A%YAML:1\.0[^\n]*|!!opencv-\w+")
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 
 
@@ -68,7 +71,7 @@ def _read(path: Path, width: int, height: int) -> Intrinsics:
     ending = path.suffix.lower()
     if ending == ".txt":
         return _of_text(path, width, height)
-    values = json.loads(read_file(path)) if ending == ".json" else read_yaml_file(path)
+    values = json.loads(read_file(path)) if ending == ".json" else _yaml(path)
     if isinstance(values, dict) and isinstance(values.get("intrinsic"), dict):
         values = values["intrinsic"]
     if not isinstance(values, dict):
@@ -77,8 +80,8 @@ def _read(path: Path, width: int, height: int) -> Intrinsics:
     if any(isinstance(s, bool) or not isinstance(s, int) for s in size if s is not None):
         raise ScanError(f"width and height are {quoted(size)}, must be whole numbers of pixels")
     across, down = (int(given) if given is not None else of_image for given, of_image in zip(size, (width, height), strict=True))
-    if all(name in values for name in ("fx", "fy", "cx", "cy")):
-        return Intrinsics(across, down, *(float(values[name]) for name in ("fx", "fy", "cx", "cy")))
+    if all(name in values for name in _FOUR):
+        return Intrinsics(across, down, *(float(values[name]) for name in _FOUR))
     key = next((name for name in _KEYS if name in values), "")
     if not key:
         raise ScanError(_NO_MATRIX)
@@ -88,17 +91,30 @@ def _read(path: Path, width: int, height: int) -> Intrinsics:
     return _of_matrix(numbers, across, down)
 
 
+def _yaml(path: Path) -> object:
+    """Returns the values of a YAML file, also of one as OpenCV writes them."""
+    return parse_yaml(_OPENCV.sub(b"", read_file(path, MAX_YAML_BYTES)))
+
+
 def _of_text(path: Path, width: int, height: int) -> Intrinsics:
-    """Returns what a text says: fx fy cx cy, the rows of a matrix, or a line with an equals sign and a matrix behind it."""
+    """Returns what a text says: fx fy cx cy, also after width and height or with their names, the rows of a matrix, or a line with an
+    equals sign and a matrix behind it.
+    """
     text = read_file(path).decode("utf-8", errors="replace")
     lines = [line.partition("#")[0].strip() for line in text.splitlines()]
     named = [line.partition("=") for line in lines if "=" in line and "ntrinsic" in line.partition("=")[0]]
     if named:
         _, _, values = min(named, key=lambda parts: "epth" not in parts[0])
         return _of_matrix([float(word) for word in _NUMBER.findall(values)], width, height)
+    pairs = {name.lower(): float(value) for line in lines for name, value in _NAMED_NUMBER.findall(line)}
+    if all(name in pairs for name in _FOUR):
+        size = int(pairs.get("width", width)), int(pairs.get("height", height))
+        return Intrinsics(*size, *(pairs[name] for name in _FOUR))
     numbers = [float(word) for line in lines for word in line.replace(",", " ").split()]
     if len(numbers) == 4:
         return Intrinsics(width, height, *numbers)
+    if len(numbers) == 6 and all(n.is_integer() and n > 0 for n in numbers[:2]):
+        return Intrinsics(int(numbers[0]), int(numbers[1]), *numbers[2:])
     return _of_matrix(numbers, width, height)
 
 

@@ -206,6 +206,7 @@ def _finished(
     if not files:
         raise ScanError(f"{folder}: has no frame")
     height, width = read_image(files[0].depth, cv2.IMREAD_UNCHANGED).shape[:2]
+    ignored: tuple[str, ...] = ()
     if options.focal is not None:
         intrinsics = Intrinsics(width, height, *options.focal)
     else:
@@ -223,7 +224,7 @@ def _finished(
     if (intrinsics.width, intrinsics.height) != (width, height):
         raise ScanError(
             f"{files[0].depth}: has {width}x{height} pixels, the intrinsics are for {intrinsics.width}x{intrinsics.height}; "
-            "give those of this size with --intrinsics fx,fy,cx,cy"
+            + "; ".join(("give those of this size with --intrinsics fx,fy,cx,cy", *(f"{folder}/{line}" for line in ignored)))
         )
     return PosedRgbd(folder, layout, intrinsics, options.depth_scale or depth_scale, tuple(files), warnings)
 
