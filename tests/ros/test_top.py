@@ -53,6 +53,9 @@ def test_one_table_shows_what_every_node_reported_and_has_no_escapes_in_a_pipe(r
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert "simulation time 0." in lines[0]
+    assert "real-time factor 0.0" in lines[0] and "factor 0.000" not in lines[0], (
+        "measured from the first /clock, before which none was known"
+    )
     assert lines[2:4] == ["test: a node  WARN  is tired", "  late_ticks 17"]
     assert "\x1b" not in done.stdout
 

@@ -70,6 +70,8 @@ class TopNode(Node):
         self._stamp_ns: int | None = None
         self._counts: dict[str, _Count] | None = {} if topics else None
         self._mark = _Mark()
+        self._first: _Mark | None = None
+        """At the first /clock, which may come within a period."""
         self.create_subscription(DiagnosticArray, names.DIAGNOSTICS, self._on_diagnostics, _LISTEN)
         self.create_subscription(Clock, names.CLOCK, self._on_clock, _NEWEST, raw=True)
 
@@ -107,6 +109,8 @@ class TopNode(Node):
 
     def _on_clock(self, data: bytes) -> None:
         self._stamp_ns = stamp_ns(data)
+        if self._first is None:
+            self._first = _Mark(sim_ns=self._stamp_ns)
 
     def follow_topics(self) -> None:
         """Subscribes to topics that are new, if their rates are asked for."""
@@ -127,8 +131,10 @@ class TopNode(Node):
         now = time.monotonic_ns()
         wall_s = (now - self._mark.wall_ns) / NS_PER_S
         sim_s = 0.0
-        if self._stamp_ns is not None and self._mark.sim_ns is not None:
-            sim_s = max(0, self._stamp_ns - self._mark.sim_ns) / NS_PER_S
+        begin = self._first if self._mark.sim_ns is None else self._mark
+        if self._stamp_ns is not None and begin is not None and begin.sim_ns is not None:
+            # Of the whole period, where time is known for a part of it alone.
+            sim_s = wall_s * max(0, self._stamp_ns - begin.sim_ns) / max(1, now - begin.wall_ns)
         statuses = tuple(Status(s.name, s.level, s.message, s.values, (now - at) / NS_PER_S) for s, at in self._statuses.values())
         topics = None
         if self._counts is not None:
