@@ -83,6 +83,20 @@ def test_a_mesh_of_a_model_of_gazebo_keeps_its_textures_when_it_is_imported_by_f
     assert (beside.warnings, beside.file) == ((), model / "scene.yaml")
 
 
+def test_meshes_in_folders_below_meshes_find_the_textures_of_their_model(tmp_path: Path) -> None:
+    model = tmp_path / "desk"
+    (model / "meshes" / "fine").mkdir(parents=True)
+    (model / "materials" / "textures").mkdir(parents=True)
+    (model / "model.config").write_text("<model><name>desk</name></model>")
+    (model / "materials" / "textures" / "red.png").write_bytes(png((255, 0, 0)))
+    write_obj(model / "meshes" / "fine" / "desk.obj", *room())
+    obj = model / "meshes" / "fine" / "desk.obj"
+    obj.with_name("desk.mtl").write_text("newmtl red\nmap_Kd red.png\n")
+    obj.write_text("mtllib desk.mtl\nusemtl red\n" + obj.read_text())
+    assert import_scene(obj, tmp_path / "out").warnings == ()
+    assert (tmp_path / "out/assets/materials/textures/red.png").is_file()
+
+
 def test_a_mesh_whose_name_differs_in_case_alone_is_found(tmp_path: Path) -> None:
     scene = load_scene(_world(tmp_path, _model("model://Room/Meshes/ROOM.obj", "room")))
     assert [visual.name for visual in scene.visuals] == ["room"]

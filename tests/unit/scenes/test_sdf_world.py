@@ -224,3 +224,25 @@ def test_file_that_is_no_world_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "w.world").write_text(text)
     with pytest.raises(SceneError, match=r"w\.world"):
         load_scene(tmp_path / "w.world")
+
+
+@pytest.mark.parametrize(
+    ("material", "said"),
+    [
+        (
+            "<script><uri>model://m/materials/scripts</uri><name>Shelf/Diffuse</name></script>",
+            "material script Shelf/Diffuse is not read",
+        ),
+        (
+            "<pbr><metal><albedo_map>textures/shelf.png</albedo_map></metal></pbr>",
+            "texture textures/shelf.png of its <pbr> material",
+        ),
+        ("<script><name>Gazebo/FlatBlack</name></script>", ""),
+        ("<script><name>Shelf/Diffuse</name></script><diffuse>1 0 0 1</diffuse>", ""),
+    ],
+)
+def test_a_material_that_is_not_read_is_named(tmp_path: Path, material: str, said: str) -> None:
+    visual = f'<visual name="v">{BOX}<material>{material}</material></visual>'
+    scene = _load(tmp_path, f'<model name="m"><link name="l">{visual}</link></model>')
+    assert len(scene.warnings) == bool(said)
+    assert all(f"model m: {said}" in w for w in scene.warnings)

@@ -24,6 +24,7 @@ from gibson_sim.scenes.mesh import MeshLoader, shape_triangles
 from gibson_sim.scenes.mesh_types import TO_Z_UP, UpAxis, merge
 from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.scenes.spec import CollisionSpec, LightSpec, SceneSpec, StartPose
+from gibson_sim.scenes.textures import IMAGE_SUFFIXES
 from gibson_sim.scenes.uris import environment_folders, is_registered
 from gibson_sim.types import Rgba, Vec3
 
@@ -170,6 +171,11 @@ class SceneBuilder:
         turned = matrix.copy()
         turned[:3, :3] = matrix[:3, :3] @ turn
         return Shape("mesh", (float(sizes[0]), float(sizes[1]), float(sizes[2])), str(real_path(path))), turned
+
+    def has_textures(self, shape: Shape) -> bool:
+        """Returns whether a mesh that was read has images, in files beside it or, as a GLB may, in its own."""
+        files = self.loader.mesh(Path(shape.mesh)).files if shape.kind == "mesh" else ()
+        return any(file.suffix.lower() in (*IMAGE_SUFFIXES, ".glb") for file in files)
 
     def add_visual(
         self,

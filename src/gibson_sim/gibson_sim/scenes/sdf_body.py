@@ -18,7 +18,7 @@ from gibson_sim.quoting import quoted
 from gibson_sim.robots.omissions import OmissionKind
 from gibson_sim.robots.spec import Shape
 from gibson_sim.robots.urdf import Inertial, UrdfCollision, UrdfJoint, UrdfLink, UrdfModel, UrdfVisual
-from gibson_sim.scenes.sdf_geometry import numbers, visual_color
+from gibson_sim.scenes.sdf_geometry import numbers, unread_material, visual_color
 from gibson_sim.scenes.sdf_joints import JointAxis, joint_axis
 from gibson_sim.scenes.sdf_model import Element, SdfModels, name_of
 from gibson_sim.types import Pose
@@ -155,6 +155,9 @@ class SdfBodyReader:
             for item in element.iterfind("visual"):
                 color, visible = visual_color(item)
                 for shape, pose, _ in self._shapes(flat, name, item, scope):
+                    lacks = unread_material(item, self.builder.has_textures(shape)) if visible else ""
+                    if lacks:
+                        self.builder.warn(f"link {name}: {lacks}", OmissionKind.UNSUPPORTED_ASSET)
                     if visible:
                         visuals.append(UrdfVisual(shape, pose, color))
                     if not has_collision:

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.quoting import clipped
 from gibson_sim.robots.spec import Shape, ShapeKind
 from gibson_sim.types import Rgba, Vec3
 
@@ -21,6 +22,7 @@ _SCRIPT_COLORS: dict[str, Rgba] = {
     "White": (1.0, 1.0, 1.0, 1.0), "Grey": (0.7, 0.7, 0.7, 1.0), "DarkGrey": (0.18, 0.18, 0.18, 1.0),
     "Black": (0.0, 0.0, 0.0, 1.0), "Red": (1.0, 0.0, 0.0, 1.0), "Green": (0.0, 1.0, 0.0, 1.0), "Blue": (0.0, 0.0, 1.0, 1.0),
     "Yellow": (1.0, 1.0, 0.0, 1.0), "Orange": (1.0, 0.5, 0.0, 1.0), "Purple": (1.0, 0.0, 1.0, 1.0), "Wood": (0.6, 0.4, 0.2, 1.0),
+    "FlatBlack": (0.1, 0.1, 0.1, 1.0),
 }  # fmt: skip
 
 
@@ -89,3 +91,20 @@ def visual_color(element: Element) -> tuple[Rgba | None, bool]:
     if base is None or (base[:3] == (1.0, 1.0, 1.0) and element.find("geometry/mesh") is not None and not script):
         return None, True
     return (*base[:3], base[3] * alpha), True
+
+
+def unread_material(element: Element, textured: bool) -> str:
+    """Returns what of the material of a <visual> is not drawn, in words; empty = nothing.
+
+    Args:
+        element: the <visual>.
+        textured: whether its mesh has textures of its own, as the images of a <pbr> mostly are.
+    """
+    material = element.find("material")
+    if material is None:
+        return ""
+    name = (material.findtext("script/name") or "").strip()
+    if name and name.removeprefix("Gazebo/") not in _SCRIPT_COLORS and material.find("diffuse") is None:
+        return f"material script {clipped(name, 80)} is not read: its texture and colours are not drawn"
+    image = (material.findtext(".//albedo_map") or "").strip()
+    return f"texture {clipped(image, 120)} of its <pbr> material is not drawn" if image and not textured else ""

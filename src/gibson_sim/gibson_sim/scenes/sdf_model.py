@@ -23,7 +23,15 @@ from gibson_sim.robots.omissions import OmissionKind
 from gibson_sim.robots.spec import Shape
 from gibson_sim.scenes.builder import FAR_AWAY, SceneBuilder, class_from_model
 from gibson_sim.scenes.mesh_types import UpAxis
-from gibson_sim.scenes.sdf_geometry import PLANE_THICKNESS, PRIMITIVES, numbers, plane_box, primitive, visual_color
+from gibson_sim.scenes.sdf_geometry import (
+    PLANE_THICKNESS,
+    PRIMITIVES,
+    numbers,
+    plane_box,
+    primitive,
+    unread_material,
+    visual_color,
+)
 from gibson_sim.scenes.uris import UriResolver
 from gibson_sim.types import Rgba, Vec3
 
@@ -284,6 +292,9 @@ class SdfModels:
         used = not visible or geometry is None or geometry.find("empty") is not None
         for shape, matrix, _ in self.shapes(model, element, T_world_model, T_world_link, top, base):
             used = True
+            lacks = unread_material(element, self.builder.has_textures(shape)) if visible else ""
+            if lacks:
+                self.builder.warn(f"model {top}: {lacks}", OmissionKind.UNSUPPORTED_ASSET)
             if visible:
                 self.builder.add_visual(top, shape, matrix, color, kind)
             if solid:

@@ -24,6 +24,8 @@ from gibson_sim.scenes.mesh_types import TextureSource
 Warn = Callable[[str], None]
 Decode = bool | Literal["sizes"]
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".webp", ".gif", ".ppm")
+_LEVELS_UP = 3
+"""Folders above a mesh beside which textures are looked for."""
 
 
 def local_path(uri: str, folder: Path) -> Path:
@@ -142,8 +144,10 @@ class TextureStore:
     def _nearby(self, wanted: Path, mesh: Path) -> Path | None:
         """Returns an image of the wanted name in the usual folders near the mesh, else the only image beside the mesh."""
         here = mesh.parent
-        folders = (wanted.parent, here, here / "textures", here.parent / "textures", here.parent / "materials" / "textures")
-        for folder in map(in_any_case, folders):
+        # `meshes/` beside `materials/textures/`, as Gazebo has it, also where meshes lie in folders of their own below that.
+        above = [place for place in here.parents[:_LEVELS_UP] if is_inside(place, self.roots)]
+        beside = [folder for place in above for folder in (place / "textures", place / "materials" / "textures")]
+        for folder in map(in_any_case, (wanted.parent, here, here / "textures", *beside)):
             if not (is_folder(folder) and is_inside(folder, self.roots)):
                 continue
             for entry in sorted(folder.iterdir()):
