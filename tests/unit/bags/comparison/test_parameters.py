@@ -101,6 +101,21 @@ def test_only_clear_differences_change(new: float, deviation: float, changes: bo
     assert replace(PARAMETER, new=new, deviation=deviation).changes is changes
 
 
+@pytest.mark.parametrize(
+    ("section", "key", "new", "changes"),
+    [
+        ("imu", "gyro_bias", 3.3e-6, False),
+        ("imu", "accel_bias", 5.5e-7, False),
+        ("lidar", "range_noise", 5.5e-6, False),
+        ("imu", "gyro_bias", 1e-4, True),
+        ("lidar", "range_noise", 1e-3, True),
+    ],
+)
+def test_what_a_robot_without_errors_shows_at_rest_is_no_error(section: str, key: str, new: float, changes: bool) -> None:
+    """The small ones are what an exact robot measured, each known to a thousandth of itself."""
+    assert Parameter(section, key, 0, 0.0, new, "", 1e-3 * new, "").changes == changes
+
+
 def test_copy_keeps_comments_and_says_what_it_changed(tmp_path: Path) -> None:
     delay = replace(PARAMETER, key="command_delay", old=0.0, new=0.1)
     path = write_fitted(robot_file("gibson_bot"), [PARAMETER, delay], tmp_path / "out" / "fitted.yaml")

@@ -21,6 +21,11 @@ from gibson_sim.robots.spec import RobotSpec
 
 CERTAINTY = 3.0
 """Standard deviations by which a value must differ from the present one: of thirty values, hardly one differs so by chance."""
+_LEAST = {
+    "gyro_noise": 1e-6, "gyro_bias": 1e-5, "gyro_bias_walk": 1e-7, "accel_noise": 1e-6, "accel_bias": 1e-5, "accel_bias_walk": 1e-7,
+    "range_noise": 1e-5,
+}  # fmt: skip
+"""Smaller differences of these keys, in their units, mean nothing: a simulated robot at rest moves by as much, ranges of 32 bits are as coarse."""
 _THREE_AXES = 1.0 / math.sqrt(6.0)
 """Standard deviation of the root mean square of three values of a normal distribution, as a part of it."""
 
@@ -69,11 +74,11 @@ class Parameter:
 
     @property
     def changes(self) -> bool:
-        """Whether the new value differs from the old one by more than it is uncertain, and by 1 in 1000."""
+        """Whether the new value differs from the old one by more than it is uncertain, by 1 in 1000, and by what means something."""
         difference = abs(self.new - self.old)
         if not self.alone:
             return self.paired
-        return difference > max(self.uncertainty, 1e-3 * max(abs(self.old), abs(self.new)), 1e-12)
+        return difference > max(self.uncertainty, 1e-3 * max(abs(self.old), abs(self.new)), _LEAST.get(self.key, 1e-12))
 
 
 def fitted_parameters(real: Measured, sim: Measured, robot: RobotSpec) -> tuple[Parameter, ...]:
