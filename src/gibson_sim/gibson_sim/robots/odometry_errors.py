@@ -30,13 +30,19 @@ _NONE: Planar = (0.0, 0.0, 0.0)
 _LEAST_POSE = 1e-6
 """m^2 and rad^2: a robot settles on its wheels by less than 1 mm and 1 mrad. Filters divide by variances, so none is ever 0."""
 _LEAST_SPEED = 1e-6
-"""(m/s)^2: of a base at rest, and of one that rolls, across its wheels."""
+"""(m/s)^2: of a base at rest."""
+_LEAST_SIDEWAYS = 1e-5
+"""(m/s)^2, across the wheels: contacts in the engine give way, and heavy robots that skid are pushed by some mm/s."""
 _LEAST_YAW_RATE = 1e-6
 """(rad/s)^2."""
 _ROLLING = 0.002
 """Part of the way, and of the turn, by which wheels roll wrongly in the engine, whose contacts give way a little."""
 _PIECE_M, _PIECE_RAD = 0.01, 0.02
 """Motions are propagated in pieces of this length: within one, the path is as good as straight."""
+
+
+_STEERED = 0.0015
+"""Turn of a base with steered wheels that these do not show, rad for the root of a metre: they slide a little while their angle changes."""
 
 
 class OdometryCovariance(NamedTuple):
@@ -84,7 +90,15 @@ class OdometryErrors:
     They depend on what the wheels measured alone, in steps of their own, so whoever reads them changes nothing.
     """
 
-    def __init__(self, spec: WheelOdometrySpec, slip: float = 0.0, turn_slip: float = 0.0, ticks: Sequence[Planar] = ()) -> None:
+    def __init__(
+        self,
+        spec: WheelOdometrySpec,
+        slip: float = 0.0,
+        turn_slip: float = 0.0,
+        ticks: Sequence[Planar] = (),
+        *,
+        steered: bool = False,
+    ) -> None:
         """Starts at the origin of the odom frame, at rest.
 
         Args:
@@ -92,10 +106,11 @@ class OdometryErrors:
             slip: Part of the way that the wheels roll and the base does not go.
             turn_slip: Part of the turn.
             ticks: For each wheel, how far the base goes (forward m, left m, turn rad) when its encoder counts one tick; () = no encoders.
+            steered: Whether wheels are steered.
         """
         self._radii = spec.left_radius_factor - 1.0, spec.right_radius_factor - 1.0
         self._scale, self._turn_scale = math.hypot(slip, _ROLLING), math.hypot(spec.separation_factor - 1.0, turn_slip, _ROLLING)
-        alphas = spec.alpha1, spec.alpha2, spec.alpha3, spec.alpha4
+        alphas = spec.alpha1, spec.alpha2 + (_STEERED**2 if steered else 0.0), spec.alpha3, spec.alpha4
         self._slip = tuple(math.sqrt(alpha) for alpha in alphas)
         self._ticks = tuple(ticks)
         self.reset()
@@ -212,7 +227,7 @@ class OdometryErrors:
         tick = 1.0 / self._dt / math.sqrt(6.0) if self._still == 0.0 else 1.0 / max(self._still, self._dt) / math.sqrt(3.0)
         lag = [(x * tick, y * tick, turn * tick) for x, y, turn in self._ticks]
         xx, xy, xt, yy, yt, tt = _with((0.0,) * 6, [cause for some in causes for cause in some] + lag)
-        return (xx + _LEAST_SPEED, xy, xt, xy, yy + _LEAST_SPEED, yt, xt, yt, tt + _LEAST_YAW_RATE)
+        return (xx + _LEAST_SPEED, xy, xt, xy, yy + _LEAST_SIDEWAYS, yt, xt, yt, tt + _LEAST_YAW_RATE)
 
 
 def _with(matrix: tuple[float, ...], effects: Sequence[Planar]) -> tuple[float, ...]:

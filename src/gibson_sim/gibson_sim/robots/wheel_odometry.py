@@ -34,7 +34,7 @@ class WheelOdometry:
             tick, straight = 2.0 * math.pi / spec.encoder_ticks, [0.0] * len(drive.steering)
             wheels = range(len(drive.wheels))
             ticks = [drive.travel([tick if i == wheel else 0.0 for i in wheels], straight) for wheel in wheels]
-        self._errors = OdometryErrors(spec, drive.response.slip, drive.response.turn_slip, ticks)
+        self._errors = OdometryErrors(spec, drive.response.slip, drive.response.turn_slip, ticks, steered=bool(drive.steering))
 
     @property
     def odometry(self) -> Odometry:
