@@ -92,3 +92,10 @@ def test_signal_while_a_node_is_made_ends_it_at_once_and_handlers_are_put_back()
 def test_what_rclpy_refuses_is_not_swallowed() -> None:
     with pytest.raises(Exception, match="topic"):
         run_node(Broken, [])
+
+
+def test_what_keeps_ros_from_starting_is_one_line(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        run_node(Talker, ["--ros-args", "--no-such-argument"])
+    assert end.value.code == 1
+    assert capfd.readouterr().err == "error: ROS cannot start: arguments that it does not know: ['--no-such-argument']\n"

@@ -14,6 +14,7 @@ from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
 from launch_ros.actions import Node
 
+from gibson_sim.cli.environment import enclave_variables
 from gibson_sim.cli.job import MAX_RESTARTS, RESTART_WINDOW_S, USER_ERROR
 from gibson_sim.cli.launching import arguments, misspelt, plan
 from gibson_sim.cli.restarts import Restarts
@@ -52,7 +53,7 @@ def _start(context):
             executable=f"{start.node}_node",
             namespace=given.namespace,
             parameters=[*([str(given.params_file)] if given.params_file else []), *([file] if start.parameters else [])],
-            additional_env=reach,  # theirs alone: what else is launched stays as it is
+            additional_env={**reach, **enclave_variables(context.environment, start.node)},  # of these nodes alone
             output="screen",
         )
 

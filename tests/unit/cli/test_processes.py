@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.cli import shared_memory
+from gibson_sim.cli.environment import enclave_variables, in_wheels, node_environment
 from gibson_sim.cli.shared_memory import remove_dead_segments
+from gibson_sim.errors import EnvironmentProblemError
 
 
 def test_dead_segments_go_and_living_ones_stay(tmp_path: Path) -> None:
@@ -115,3 +117,16 @@ def test_record_into_a_folder_with_something_in_it_is_refused(tmp_path: Path) ->
     assert done.returncode == 1
     assert "is not an empty folder" in done.stderr
     assert (tmp_path / "precious").exists()
+
+
+def test_node_gets_an_enclave_of_its_own_where_security_is_on() -> None:
+    assert enclave_variables({}, "render") == {}
+    assert enclave_variables({"ROS_SECURITY_ENABLE": "true"}, "render") == {"ROS_SECURITY_ENCLAVE_OVERRIDE": "/gibson_sim/render"}
+    chosen = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_ENCLAVE_OVERRIDE": "/mine"}
+    assert enclave_variables(chosen, "render") == {}
+
+
+@pytest.mark.skipif(not in_wheels(), reason="SKIPPED: this ROS may be able to encrypt; that of pip cannot")
+def test_security_that_ros_from_pip_does_not_have_is_refused() -> None:
+    with pytest.raises(EnvironmentProblemError, match="ROS_SECURITY_ENABLE is 'true', but ROS from pip cannot encrypt"):
+        node_environment({"ROS_SECURITY_ENABLE": "true"})

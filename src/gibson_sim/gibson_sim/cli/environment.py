@@ -13,6 +13,7 @@ from gibson_sim.reach import REACHES, RMW_VARIABLE, apply_reach
 
 PARENT_VARIABLE = "GIBSON_SIM_PARENT_PID"
 RMW = "rmw_fastrtps_cpp"
+SECURITY_VARIABLE, ENCLAVE_VARIABLE = "ROS_SECURITY_ENABLE", "ROS_SECURITY_ENCLAVE_OVERRIDE"
 
 
 def add_network(parser: argparse.ArgumentParser) -> None:
@@ -51,6 +52,11 @@ def node_environment(
     base = dict(os.environ if environment is None else environment)
     if in_wheels() and base.get(RMW_VARIABLE, RMW) != RMW:
         raise EnvironmentProblemError(f"{RMW_VARIABLE} is {base[RMW_VARIABLE]!r}, but ROS from pip has {RMW} alone: unset it")
+    if in_wheels() and base.get(SECURITY_VARIABLE, "").lower() == "true":
+        raise EnvironmentProblemError(
+            f"{SECURITY_VARIABLE} is {base[SECURITY_VARIABLE]!r}, but ROS from pip cannot encrypt (its Fast DDS has no security plugins): "
+            "use a ROS installation (docs/security.md), or unset it and let --reach local keep other machines out"
+        )
     apply_reach(base, reach)
     base["PYTHONUNBUFFERED"] = "1"
     base[PARENT_VARIABLE] = str(os.getpid())
@@ -59,6 +65,12 @@ def node_environment(
     if domain_id is not None:
         base["ROS_DOMAIN_ID"] = str(domain_id)
     return base
+
+
+def enclave_variables(environment: Mapping[str, str], node: str) -> dict[str, str]:
+    """Returns the variable that gives a node its own keys and rights, ``/gibson_sim/<node>``, where SROS2 is on and no other is named."""
+    secure = environment.get(SECURITY_VARIABLE, "").lower() == "true" and not environment.get(ENCLAVE_VARIABLE)
+    return {ENCLAVE_VARIABLE: f"/gibson_sim/{node}"} if secure else {}
 
 
 def in_wheels() -> bool:

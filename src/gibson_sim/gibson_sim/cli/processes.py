@@ -13,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn, TextIO
 
-from gibson_sim.cli.environment import PARENT_VARIABLE
+from gibson_sim.cli.environment import PARENT_VARIABLE, enclave_variables
 from gibson_sim.cli.options import node_arguments
 from gibson_sim.interrupts import held_back
 
@@ -37,6 +37,7 @@ def become(module: str, arguments: Sequence[str], environment: Mapping[str, str]
     command = command_of(module, *arguments)
     sys.stdout.flush()
     alone = {name: value for name, value in environment.items() if name != PARENT_VARIABLE}
+    alone.update(enclave_variables(environment, module.removesuffix("_node")))
     with held_back():
         os.execve(command[0], command, alone)
 
@@ -64,7 +65,12 @@ class NodeProcess:
             out: where its lines go.
             silent: keep its lines until ``speak``; they are dropped where it is stopped before.
         """
-        self.name, self.config, self._environment, self._out = name, config, dict(environment), out
+        self.name, self.config, self._environment, self._out = (
+            name,
+            config,
+            {**environment, **enclave_variables(environment, name)},
+            out,
+        )
         self._tail: deque[str] = deque(maxlen=20)
         self._unsaid = ""
         self._kept: list[str] | None = [] if silent else None

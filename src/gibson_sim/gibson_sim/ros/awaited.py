@@ -16,6 +16,12 @@ SAY_S = 2.0
 """Wall time after which a node says what it waits for."""
 
 
+def how_to_find_a_simulation() -> str:
+    """Returns what a user can do who has none: how to start one, and where else to look for it."""
+    elsewhere = ", or look for one on other machines with --reach subnet" if is_local(os.environ) else ""
+    return f"`gibson-sim run`, or name its domain with --domain-id{elsewhere}"
+
+
 class Awaited:
     """Something that a node needs before it can work; a node of ``gibson-sim run`` says nothing, since its simulation is starting."""
 
@@ -45,8 +51,7 @@ class Awaited:
             f"a simulation that publishes {node.resolve_topic_name(topic)} in ROS domain {node.context.get_domain_id()}",
             lambda: node.count_publishers(topic) > 0,
             timeout_s=0.0 if started_by_launcher() else timeout_s,
-            remedy="start one with `gibson-sim run`, or name its domain with --domain-id"
-            + (", or look for one on other machines with --reach subnet" if is_local(os.environ) else ""),
+            remedy=f"start one with {how_to_find_a_simulation()}",
         )
 
     def look(self) -> bool:

@@ -93,7 +93,14 @@ def run_node(make: Callable[[], Any], args: list[str] | None = None) -> None:
     faulthandler.register(signal.SIGUSR1)  # says on stderr where each thread is
     end_with_parent()
     keep_large_blocks()
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except (
+        RuntimeError
+    ) as error:  # of rcl: keys that SROS2 does not find, a domain that does not exist, an argument it cannot read
+        unknown = "arguments that it does not know: " if type(error).__name__ == "UnknownROSArgsError" else ""
+        print(f"error: ROS cannot start: {unknown}{error}", file=sys.stderr, flush=True)
+        sys.exit(1)
     code = 0
     with _signals:
         try:

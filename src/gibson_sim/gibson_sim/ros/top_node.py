@@ -20,6 +20,7 @@ from rosgraph_msgs.msg import Clock
 
 from gibson_sim.bags.stamps import stamp_ns
 from gibson_sim.ros import names
+from gibson_sim.ros.awaited import how_to_find_a_simulation
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.message_types import UNKNOWN, message_class
 from gibson_sim.ros.node_main import goes_on, run_node
@@ -184,7 +185,7 @@ def _no_simulation(node: TopNode, patience_s: float) -> int:
     domain = node.context.get_domain_id()
     sys.stderr.write(
         f"no simulation runs in ROS domain {domain}: nobody published {names.CLOCK} for {patience_s:g} s. "
-        "Start one with `gibson-sim run`, or name its domain with --domain-id\n"
+        f"Start one with {how_to_find_a_simulation()}\n"
     )
     return NO_SIMULATION
 

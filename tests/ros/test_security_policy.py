@@ -1,0 +1,97 @@
+"""The rights that config/sros2_policy.xml gives our nodes, beside what the nodes of a running simulation have."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+
+from support.simulation import Launched, Listener, require, wait_until
+
+require("rclpy", "gibson_msgs", "pybullet")
+
+OUTPUTS = "rgb,depth,semantic,instance,normal,normal_world,position,flow"
+RIGHTS = ("publish", "subscribe", "reply", "request")
+NODES = ("physics", "render", "drive", "record", "snapshot", "task", "top")
+"""Nodes whose rights are compared; ``physics_stamped_commands`` and ``_record_intake`` are in processes of the first and the fourth."""
+_ACTION_SERVICES = ("cancel_goal", "get_result", "send_goal")
+_ACTION_TOPICS = ("feedback", "status")
+ONLY_SOMETIMES = {
+    ("task", "subscribe", "/joint_states"),  # tasks with an arm
+    ("task", "subscribe", "/grasp_state"),
+}
+"""Rights that the simulation of this test does not need."""
+
+
+def _rights(policy: ElementTree.Element, node: str) -> set[tuple[str, str]]:
+    """Returns what the enclave of a node may do: the right, and the topics or services that a pattern names."""
+    found = set()
+    for profile in policy.findall(f"./enclaves/enclave[@path='/gibson_sim/{node}']/profiles/profile"):
+        for rule in profile:
+            for expression in rule:
+                name = "/" + (expression.text or "").replace("~", profile.attrib["node"])
+                for right in rule.attrib:
+                    if right == "execute":
+                        found |= {("reply", f"{name}/_action/{part}") for part in _ACTION_SERVICES}
+                        found |= {("publish", f"{name}/_action/{part}") for part in _ACTION_TOPICS}
+                    else:
+                        found.add((right, name))
+    return found
+
+
+def _uses(listener: Listener, process: str) -> set[tuple[str, str]]:
+    """Returns what the nodes of a process have."""
+    graph: Any = listener.node
+    found = set()
+    for name in (process, "physics_stamped_commands" if process == "physics" else f"_{process}_intake"):
+        if name in graph.get_node_names():
+            looks = (
+                graph.get_publisher_names_and_types_by_node,
+                graph.get_subscriber_names_and_types_by_node,
+                graph.get_service_names_and_types_by_node,
+                graph.get_client_names_and_types_by_node,
+            )
+            found |= {(right, topic) for right, look in zip(RIGHTS, looks, strict=True) for topic, _ in look(name, "/")}
+    return found
+
+
+@pytest.fixture(scope="module")
+def simulation(ros_domain: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A paused simulation with every node of ours beside it."""
+    folder = tmp_path_factory.mktemp("policy")
+    run = ("run", "--robot", "arm_bot", "--start-paused", "--lockstep", "--digests", "--camera-outputs", OUTPUTS)
+    launched = [Launched(*run, "--drive", "spin", "--record", str(folder / "bag"))]
+    try:
+        launched[0].wait_for_line("reach: ")
+        launched += [
+            Launched("snapshot", str(folder / "pictures")),
+            Launched("top"),
+            Launched("task", "point-goal", "--scene", "flat"),
+        ]
+        yield folder
+    finally:
+        for process in reversed(launched):
+            process.stop()
+
+
+def test_policy_gives_each_node_what_it_uses_and_nothing_else(simulation: Path, listener: Listener, root: Path) -> None:
+    policy = ElementTree.parse(root / "config" / "sros2_policy.xml").getroot()
+
+    def differences() -> list[tuple[str, str, str]]:
+        found = []
+        for node in NODES:
+            rights, uses = _rights(policy, node), _uses(listener, node)
+            lacking = {use for use in uses if not any(right == use[0] and fnmatchcase(use[1], name) for right, name in rights)}
+            unused = {
+                right for right in rights if not any(right[0] == kind and fnmatchcase(name, right[1]) for kind, name in uses)
+            }
+            found += [(node, *use) for use in lacking] + [
+                (node, *right) for right in unused if (node, *right) not in ONLY_SOMETIMES
+            ]
+        return found
+
+    wait_until(lambda: not differences(), f"agreement of rights and use: {differences()}")
