@@ -386,3 +386,16 @@ def test_what_is_unclear_stays_so_until_somebody_says_which_way_is_up(
     assert "up-unclear: room.obj: which way is up is not clear: it may be -z; z of the file" in capsys.readouterr().out
     assert _run("check", tmp_path / "a", "--fix", "--up=z", "--output", tmp_path / "b") == 0
     assert _run("check", tmp_path / "b") == 0
+
+
+@pytest.mark.parametrize(("share", "slope_deg"), [(0.3, 1.5), (0.5, 1.5), (0.5, 2.5), (0.5, 4.0)])
+def test_a_ramp_beside_a_level_floor_does_not_tilt_it(share: float, slope_deg: float) -> None:
+    corners, quads = room(furniture=False)
+    middles = corners[quads].mean(axis=1)
+    walls = quads[(middles[:, 2] > 0.01) & (middles[:, 2] < 2.4)]
+    edge, top = 3.0 - 6.0 * share, 6.0 * share * np.tan(np.radians(slope_deg))
+    floor = [[-3, -2, 0], [edge, -2, 0], [edge, 2, 0], [-3, 2, 0]]
+    ramp = [[edge, -2, 0], [3, -2, top], [3, 2, top], [edge, 2, 0]]
+    both = np.concatenate([walls, np.arange(8).reshape(2, 4) + len(corners)])
+    guess = guess_up(np.concatenate([corners, floor, ramp]), triangles(both))
+    assert guess.tilt_deg < 0.05

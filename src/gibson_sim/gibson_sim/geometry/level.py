@@ -13,6 +13,12 @@ F64 = NDArray[np.float64]
 
 _CONE_DEG = (25.0, 8.0, 4.0, 2.0)
 """Pieces whose direction is this near to what is taken for up decide, round after round."""
+_MODE_DEG = 0.4
+"""Pieces are as one direction within about this: a ramp beside a level floor must not be averaged with it."""
+_ALIKE_DEG, _ALIKE = 0.7, 0.3
+"""Where so much of what is about level lies across one direction so nearly, it alone decides."""
+_LEAST = 0.02
+"""Of the whole surface: less is chance."""
 _FACING = math.cos(math.radians(30.0))
 """Normals of single triangles of a scan scatter."""
 _LAYER = 0.15
@@ -21,6 +27,7 @@ _THIN = (0.2, 0.1, 0.05)
 """Half the thickness of a layer, in edges of a cube, round after round; but at least ``_BUMPS``."""
 _BUMPS = 3.0
 """Standard deviations of the bumps of what is level."""
+_ROUNDS = 8
 _MEDIAN = 1.4826
 """Standard deviation against the median of what is normally distributed."""
 _NARROW = 1.0
@@ -47,11 +54,29 @@ def level_direction(patches: Patches, up: F64) -> tuple[F64, float]:
         found = (patches.weights[near, None] * aligned).sum(axis=0)
         found /= np.linalg.norm(found)
     near = (np.abs(patches.directions @ found) > math.cos(math.radians(_CONE_DEG[1]))) & (patches.weights > 0)
-    return _through_layers(patches, near, found, total)
+    area = float(patches.weights[near].sum())
+    densest = _densest(patches, near, found)
+    alike = near & (np.abs(patches.directions @ densest) > math.cos(math.radians(_ALIKE_DEG)))
+    if patches.weights[alike].sum() > max(_ALIKE * area, _LEAST * total):
+        near, found = alike, densest
+    return _through_layers(patches, near, found, area / total)
 
 
-def _through_layers(patches: Patches, near: NDArray[np.bool_], up: F64, total: float) -> tuple[F64, float]:
-    """Returns the direction across the layers that the pieces ``near`` lie in, each about its own middle."""
+def _densest(patches: Patches, near: NDArray[np.bool_], up: F64) -> F64:
+    """Returns the direction, (3,), that most of the pieces ``near`` the direction ``up`` lie across."""
+    aligned = patches.directions[near] * np.sign(patches.directions[near] @ up)[:, None]
+    width = 1.0 - math.cos(math.radians(_MODE_DEG))
+    kernel = np.exp((np.minimum(aligned @ aligned.T, 1.0) - 1.0) / width)
+    best = aligned[int((kernel @ patches.weights[near]).argmax())]
+    for _ in range(_ROUNDS):
+        pull = np.exp((np.minimum(aligned @ best, 1.0) - 1.0) / width) * patches.weights[near]
+        best = pull @ aligned
+        best /= np.linalg.norm(best)
+    return np.asarray(best)
+
+
+def _through_layers(patches: Patches, near: NDArray[np.bool_], up: F64, area: float) -> tuple[F64, float]:
+    """Returns the direction across the layers that the pieces ``near`` lie in, each about its own middle, and ``area``."""
     on = near[patches.cube]
     faces = np.abs(patches.normals @ up) > _FACING
     # Specks of a soup face anywhere: then the pieces alone say what is level.
@@ -60,7 +85,7 @@ def _through_layers(patches: Patches, near: NDArray[np.bool_], up: F64, total: f
     bumps = _MEDIAN * float(
         np.median(np.abs(((points - patches.centres[patches.cube[on]]) * patches.directions[patches.cube[on]]).sum(axis=1)))
     )
-    found, area = up, float(patches.weights[near].sum()) / total
+    found = up
     for thin in _THIN:
         half = max(thin * patches.size, _BUMPS * bumps)
         heights = points @ found
