@@ -93,7 +93,8 @@ def _check(args: argparse.Namespace) -> ExitCode:
         _print(report, False)
     file, mended = fix_scene(report, args.output, Fix(factor, args.max_texture, not args.no_level, up))
     if not args.json:
-        print(f"mended: {file}")
+        unclear = any(finding.what == "up-unclear" for finding in mended.findings)
+        print(f"{'not sure which way is up, so the scene is not turned' if unclear else 'mended'}: {file}")
     _print(mended, args.json)
     return ExitCode.OK if mended.clean else ExitCode.ERROR
 
