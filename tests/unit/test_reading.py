@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from gibson_sim.errors import TextError
+from gibson_sim.errors import MeshError, SceneError, TextError
 from gibson_sim.quoting import clipped, quoted
 from gibson_sim.reading import (
     MAX_DEPTH,
@@ -224,3 +224,10 @@ def test_long_messages_lose_their_middle() -> None:
     assert clipped("a\n b", 10) == "a b"
     assert clipped("a" * 100 + "b" * 100, 10) == "aaaaa ... bbbbb"
     assert clipped("é \x1b[31m\0\ud800", 80) == "é \\x1b[31m\\x00\\ud800"
+
+
+def test_messages_are_one_line_within_bounds_whatever_a_file_names() -> None:
+    assert str(SceneError("/a  b/c: is missing")) == "/a  b/c: is missing"
+    assert str(SceneError("a\n\x1b[31mb")) == "a \\x1b[31mb"
+    assert len(str(SceneError("x" * 10**6))) < 4100
+    assert str(MeshError("a\nb").telling("c")) == "a b"

@@ -24,13 +24,17 @@
       LockstepError                a participant of lockstep is gone, or hangs
 
 Messages say what, which value, what is allowed and what to do. They may quote a file; ``public`` never does. Nothing here imports
-anything of this package.
+anything of this package but ``quoting``.
 """
 
 from __future__ import annotations
 
 from typing import TypeVar
 
+from gibson_sim.quoting import clipped
+
+_LONGEST = 4000
+"""Characters of a message."""
 _Error = TypeVar("_Error", bound="GibsonSimError")
 
 
@@ -39,6 +43,11 @@ class GibsonSimError(Exception):
 
     public = ""
     """What a client may be told who may not see the files that the message quotes, nor where they lie; empty = nothing."""
+
+    def __init__(self, message: str = "", *more: object) -> None:
+        """Makes it; names and paths in a message may come from a file of strangers: it stays one line, and within bounds."""
+        text = str(message)
+        super().__init__(text if len(text) <= _LONGEST and text.isprintable() else clipped(text, _LONGEST), *more)
 
     def telling(self: _Error, public: str) -> _Error:
         """Returns the error itself, which now tells clients ``public``."""

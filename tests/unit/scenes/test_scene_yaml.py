@@ -230,3 +230,9 @@ def test_a_mistake_in_the_light_is_named(tmp_path: Path, light: str, words: str)
 def test_metal_and_roughness_of_an_object_become_its_look(tmp_path: Path) -> None:
     first, second = _load(tmp_path, "objects: [{sphere: 1, metallic: 1, roughness: 0.2}, {sphere: 1}]\n").visuals
     assert (first.look, second.look) == (Look(metallic=1.0, roughness=0.2), None)
+
+
+@pytest.mark.parametrize("name", ["x" * 201, "a\\nb", "a\\e[31m"])
+def test_name_of_a_scene_is_one_line(tmp_path: Path, name: str) -> None:
+    with pytest.raises(SceneError, match=r"^scene '[^\x00-\x1f]*: its name must be one line of at most 200 characters$"):
+        _load(tmp_path, f'name: "{name}"\nground_z: 0\n')

@@ -31,6 +31,8 @@ from gibson_sim.types import Rgba, Vec3
 F64 = NDArray[np.float64]
 FAR_AWAY = 1e4
 """Metres: whatever stands farther off is a mistake of the file."""
+_LONGEST_NAME = 200
+"""Characters of a scene's name."""
 _LONGEST_CLASS = 200
 """Characters of a model's name that its class is made of."""
 _UP_FACING = 0.98
@@ -228,6 +230,8 @@ class SceneBuilder:
 
     def finish(self) -> SceneSpec:
         """Returns the scene."""
+        if len(self.name) > _LONGEST_NAME or not self.name.isprintable():
+            raise SceneError(f"scene {quoted(self.name)}: its name must be one line of at most {_LONGEST_NAME} characters")
         if not self.visuals and not self.collisions and self.ground_z is None:
             reason = f": {self.warnings[0]}" if self.warnings else ""
             raise SceneError(f"scene {quoted(self.name)}: nothing in it can be drawn or bumped into{reason}")
