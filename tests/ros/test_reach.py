@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -98,6 +99,13 @@ def test_variables_of_ros_decide_where_no_reach_is_given_and_are_overruled_where
         assert _visit(hosts, "there", str(LOOK_S), "end", ROS_STATIC_PEERS=hosts.addresses["here"]) == NOTHING
     finally:
         simulation.stop()
+
+
+def test_machine_without_a_loopback_interface_is_told_so(hosts: Hosts) -> None:
+    command = ["unshare", "--net", sys.executable, "-m", "gibson_sim.cli.main", "run", "--scene", "flat", "--no-render"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "127.0.0.1 cannot be reached (Network is unreachable), by which the nodes find each other" in done.stderr
 
 
 def test_client_of_ours_that_finds_nothing_on_this_machine_says_how_to_look_on_others(hosts: Hosts) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import socket
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -57,6 +58,7 @@ def node_environment(
             f"{SECURITY_VARIABLE} is {base[SECURITY_VARIABLE]!r}, but ROS from pip cannot encrypt (its Fast DDS has no security plugins): "
             "use a ROS installation (docs/security.md), or unset it and let --reach local keep other machines out"
         )
+    _check_loopback()
     apply_reach(base, reach)
     base["PYTHONUNBUFFERED"] = "1"
     base[PARENT_VARIABLE] = str(os.getpid())
@@ -65,6 +67,18 @@ def node_environment(
     if domain_id is not None:
         base["ROS_DOMAIN_ID"] = str(domain_id)
     return base
+
+
+def _check_loopback() -> None:
+    """Raises EnvironmentProblemError where the processes of this machine could not find each other."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("127.0.0.1", 9))  # sends nothing
+        except OSError as error:
+            raise EnvironmentProblemError(
+                f"127.0.0.1 cannot be reached ({error.strerror}), by which the nodes find each other: `ip link set lo up`, or give the "
+                "container a network"
+            ) from error
 
 
 def enclave_variables(environment: Mapping[str, str], node: str) -> dict[str, str]:
