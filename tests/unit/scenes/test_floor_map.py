@@ -151,3 +151,8 @@ def test_scene_too_large_for_memory_gets_coarser_cells(monkeypatch: pytest.Monke
     monkeypatch.setattr(floor_map, "_MAX_CELLS", 10_000)
     # 100 m x 100 m in 10,000 cells: 1 m each.
     assert _map(_level(0, 0, 100, 100, 0)).resolution == pytest.approx(1.0)
+
+
+def test_map_of_things_kilometres_apart_takes_no_gigabyte() -> None:
+    assert floor_map._affordable(0.05, np.array([2000.0, 2000.0])) >= 1.0
+    assert floor_map._affordable(0.05, np.array([90.0, 90.0])) == 0.05
