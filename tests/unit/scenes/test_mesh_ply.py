@@ -82,3 +82,12 @@ def test_the_colours_of_a_gltf_are_linear(tmp_path: Path) -> None:
 def test_colours_survive_a_transform(tmp_path: Path) -> None:
     mesh = _read(tmp_path, ply()).transformed(np.diag([2.0, 2.0, 2.0, 1.0]))
     np.testing.assert_array_equal(mesh.parts[0].colors, COLORS)
+
+
+@pytest.mark.parametrize("value", ["300", "-1", "nan", "1e300"])
+def test_a_number_that_its_type_does_not_hold_is_refused(tmp_path: Path, value: str) -> None:
+    header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nproperty uchar red\n"
+    faces = "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    text = header + faces + f"0 0 0 {value}\n1 0 0 1\n0 1 0 1\n3 0 1 2\n"
+    with pytest.raises(MeshError, match="'red' is .*, must be 0 to 255"):
+        _read(tmp_path, text.encode())

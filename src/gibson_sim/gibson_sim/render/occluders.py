@@ -56,8 +56,11 @@ class Occluders:
         positions = np.ascontiguousarray(b.vertices["position"])
         corner = positions[triangles[:, 0]]
         u, v = positions[triangles[:, 1]] - corner, positions[triangles[:, 2]] - corner
-        uu, vv, uv = (np.einsum("tk,tk->t", one, other) for one, other in ((u, u), (v, v), (u, v)))
-        large = uu * vv - uv * uv >= np.float32(4.0 * LARGE_M2**2)  # the square of twice the area (Lagrange)
+        with np.errstate(
+            over="ignore", invalid="ignore"
+        ):  # triangles of kilometres: too large to be sure of, so they hide nothing
+            uu, vv, uv = (np.einsum("tk,tk->t", one, other) for one, other in ((u, u), (v, v), (u, v)))
+            large = uu * vv - uv * uv >= np.float32(4.0 * LARGE_M2**2)  # the square of twice the area (Lagrange)
         upto = 3 * np.concatenate([[0], np.cumsum(large)])
         before = len(self.indices)
         self._starts = np.concatenate([self._starts, starts])

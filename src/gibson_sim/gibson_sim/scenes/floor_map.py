@@ -9,6 +9,7 @@ import logging
 import math
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
@@ -33,6 +34,8 @@ FLOOR_TOLERANCE = 0.10
 _LEVEL = math.cos(math.radians(20.0))
 _MAX_CELLS = 4_000_000
 """100 x 100 m at 5 cm: named poses of 16 million took four seconds and a gigabyte."""
+_CERTAIN = 2000.0
+"""Distances, half cells, below which single precision tells the squares of all from each other."""
 _CEILING = (1.8, 6.0)
 """Metres above the floor: what is level and between these is a ceiling."""
 _CEILING_WIDTH = 0.6
@@ -258,7 +261,7 @@ def _is_floor(corners: F64, floor_z: float) -> Bools:
 
 
 def _distance_to_blocked(blocked: Bools, resolution: float) -> F64:
-    """Returns (H, W): metres from cell centres to the nearest blocked cell or the rim of the map, exact."""
+    """Returns (H, W): metres from cell centres to the nearest blocked cell or the rim of the map, exact up to a thousand cells."""
     rows, columns = blocked.shape
     # On a lattice of half cells the nearest point of a square to a cell's centre is always a lattice point.
     lattice = np.zeros((2 * rows + 1, 2 * columns + 1), dtype=bool)
@@ -266,5 +269,7 @@ def _distance_to_blocked(blocked: Bools, resolution: float) -> F64:
     for i in range(3):
         for j in range(3):
             lattice[i : i + 2 * rows - 1 : 2, j : j + 2 * columns - 1 : 2] |= blocked
-    distance = ndimage.distance_transform_edt(~lattice)
-    return np.asarray(distance[1::2, 1::2] * (resolution / 2), dtype=np.float64)
+    # OpenCV takes a fifth of SciPy's time, in single precision: the squares of smaller distances, whole numbers, are still certain.
+    distance = cv2.distanceTransform((~lattice).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1::2, 1::2].astype(np.float64)
+    exact = np.where(distance < _CERTAIN, np.sqrt(np.rint(np.square(distance))), distance)
+    return np.asarray(exact * (resolution / 2), dtype=np.float64)

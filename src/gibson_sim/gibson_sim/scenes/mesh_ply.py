@@ -286,6 +286,21 @@ def _uneven_table(path: Path, element: _Element, data: bytes, at: int, order: st
     return table, at
 
 
+def _as_kind(path: Path, what: str, column: NDArray[np.float64], kind: np.dtype[Any]) -> NDArray[Any]:
+    """Returns numbers of a text file as the type that its header names.
+
+    Raises:
+        MeshError: a whole number does not fit into it.
+    """
+    if kind.kind in "iu" and len(column):
+        limits = np.iinfo(kind)
+        beyond = ~((column >= limits.min) & (column <= limits.max))
+        if beyond.any():
+            raise MeshError(f"{path}: {quoted(what)} is {column[beyond][0]:g}, must be {limits.min} to {limits.max}")
+    with np.errstate(over="ignore"):  # what is too large for single precision is infinite, and refused as such where it matters
+        return column.astype(kind)
+
+
 def _text_table(path: Path, element: _Element, words: list[bytes], at: int) -> tuple[dict[str, Any], int]:
     lists = any(p.count_kind for p in element.properties)
     width = len(element.properties)
@@ -293,7 +308,7 @@ def _text_table(path: Path, element: _Element, words: list[bytes], at: int) -> t
         raise MeshError(f"{path}: ends in the middle of {element.name}; the file is cut")
     if not lists:
         values = np.array(words[at : at + element.count * width], dtype=np.float64).reshape(element.count, width)
-        table = {p.name: values[:, k].astype(p.kind) for k, p in enumerate(element.properties)}
+        table = {p.name: _as_kind(path, p.name, values[:, k], np.dtype(p.kind)) for k, p in enumerate(element.properties)}
         return table, at + element.count * width
     out: dict[str, Any] = {p.name: [] for p in element.properties}
     sizes: dict[str, list[int]] = {p.name: [] for p in element.properties}
@@ -309,6 +324,6 @@ def _text_table(path: Path, element: _Element, words: list[bytes], at: int) -> t
             at += size
     done: dict[str, Any] = {}
     for p in element.properties:
-        column = np.array(out[p.name], dtype=np.float64).astype(p.kind)
+        column = _as_kind(path, p.name, np.array(out[p.name], dtype=np.float64), np.dtype(p.kind))
         done[p.name] = (column, np.array(sizes[p.name], dtype=np.int64)) if p.count_kind else column
     return done, at

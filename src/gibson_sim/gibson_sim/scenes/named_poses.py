@@ -61,7 +61,8 @@ def named_poses(scene: SceneSpec) -> tuple[NamedPose, ...]:
         starts = [s for s in scene.starts if _floor_of(scene, s.pose.position[2]) == number]
         try:
             floor = scene_floor_map(level, robot_height=height)
-            coarse = scene_floor_map(level, robot_height=height, resolution=_ROOM_RESOLUTION)
+            large = floor.resolution >= _ROOM_RESOLUTION  # then both maps are the same
+            coarse = floor if large else scene_floor_map(level, robot_height=height, resolution=_ROOM_RESOLUTION)
         except SceneError as error:
             logger.warning("scene %s: start poses are the only ones with a name on %s: %s", scene.name, tag, error)
             nowhere = (0.0, 0.0, 0.0)

@@ -40,9 +40,9 @@ class NamedRooms:
 
     def __init__(self, rooms: Sequence[RoomSpec], floor: FloorMap) -> None:
         self._rooms, self._floor = rooms, floor
-        cells = np.argwhere(floor.free)
-        centers = floor.centers(cells)
         self._inside: NDArray[np.int64] = np.zeros(floor.shape, dtype=np.int64)
+        cells = np.argwhere(floor.free) if rooms else np.zeros((0, 2), dtype=np.int64)
+        centers = floor.centers(cells)
         for number, room in reversed(list(enumerate(rooms, start=1))):
             self._inside[tuple(cells[room.contains(centers)].T)] = number
         self._labels = self._grown()
