@@ -89,5 +89,5 @@ def test_a_number_that_its_type_does_not_hold_is_refused(tmp_path: Path, value: 
     header = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nproperty uchar red\n"
     faces = "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
     text = header + faces + f"0 0 0 {value}\n1 0 0 1\n0 1 0 1\n3 0 1 2\n"
-    with pytest.raises(MeshError, match="'red' is .*, must be 0 to 255"):
+    with pytest.raises(MeshError, match=r"'red' is .*, must be 0 to 255"):
         _read(tmp_path, text.encode())
