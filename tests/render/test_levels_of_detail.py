@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.projections import rays
-from gibson_sim.render import clusters
+from gibson_sim.render import clusters, joining
 from gibson_sim.render.batches import Loader
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.mesh_types import Mesh
@@ -165,6 +165,18 @@ def test_levels_of_detail_follow_a_link() -> None:
             renderer.render(state(["robot/base"], [(x, 0.0, 0.0)]), [replace(EYE, width=240, height=180)])
             counts.append(renderer.drawn_triangles)
     assert counts[0] > 2 * counts[1] > 0
+
+
+def test_a_link_of_many_triangles_is_drawn_with_all_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn, loader = scene(mesh_visual("robot/base"), links=("robot/base",)), loader_of(Mesh((bumpy_sphere(),)))
+    counts = []
+    for most in (19_880, 19_879):  # the sphere has 4 * 71 * 70
+        monkeypatch.setattr(joining, "MOVING_DETAIL_UPTO", most)
+        with detail_from(1), Renderer(drawn, loader=loader) as renderer:
+            renderer.render(state(["robot/base"], [(50.0, 0.0, 0.0)]), [EYE])
+            counts.append(renderer.drawn_triangles)
+    assert counts[0] < 2_000
+    assert counts[1] == 19_880
 
 
 def test_scenes_of_few_triangles_are_drawn_with_all_of_them() -> None:

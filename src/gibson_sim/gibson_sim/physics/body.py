@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +21,9 @@ from gibson_sim.physics.engine_types import BulletBody
 from gibson_sim.physics.frames import FrameTable, right_multiplication
 from gibson_sim.physics.joint_motors import JointMotors
 from gibson_sim.physics.link_shapes import LinkShapes
+from gibson_sim.physics.obj_text import to_obj
 from gibson_sim.quoting import quoted
+from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.joint_commands import JointCommand
 from gibson_sim.robots.kinematics import Chain
 from gibson_sim.robots.rigid import MOVING_TYPES, RigidGroup, physics_urdf, rigid_groups
@@ -30,6 +34,8 @@ from gibson_sim.types import Pose, Vec3
 
 _ENGINE_MESHES = (".obj", ".stl")
 """Formats that the engine reads by itself, as convex hulls."""
+_ENGINE_BYTES = 2_000_000
+"""Of a file: the engine takes a tenth of a second for so many, while time stands; hulls of larger ones are made beside time."""
 
 
 class BodyInWorld:
@@ -211,10 +217,10 @@ class BodyInWorld:
         return replace(group, collisions=collisions)
 
     def _readable_shape(self, bullet: Bullet, shape: Shape) -> Shape:
-        if shape.kind != "mesh" or (not self.static and shape.mesh.lower().endswith(_ENGINE_MESHES)):
+        if shape.kind != "mesh" or (not self.static and _is_for_engine(shape.mesh)):
             return replace(shape, mesh=str(bullet.files.copy_obj(shape.mesh))) if shape.mesh.lower().endswith(".obj") else shape
-        vertices, triangles = load_shape(shape).merged() if self.static else hull_of(shape)
-        return Shape("mesh", (1.0, 1.0, 1.0), str(bullet.files.write_mesh(vertices, triangles)))
+        text = mesh_text(shape) if self.static else to_obj(*hull_of(shape)).encode()
+        return Shape("mesh", (1.0, 1.0, 1.0), str(bullet.files.write_obj(text)))
 
     def _frame_table(self) -> FrameTable:
         """Returns how the links lie in what the engine moves."""
@@ -236,13 +242,26 @@ class BodyInWorld:
         )
 
 
-def read_hulls(model: UrdfModel) -> None:
-    """Makes, in any thread, the convex hulls that a model which moves is bumped into: a body of it is then there at once."""
-    groups, _ = rigid_groups(model, fixed_root=False)
+def read_meshes(spec: BodySpec) -> None:
+    """Makes, in any thread, what the engine is to read of a body's collision meshes: the body itself is then there at once."""
+    groups, _ = rigid_groups(spec.model, fixed_root=spec.static)
     for shape, _ in (collision for group in groups for collision in group.collisions):
-        if shape.kind == "mesh" and not shape.mesh.lower().endswith(_ENGINE_MESHES):
+        if shape.kind == "mesh" and (spec.static or not _is_for_engine(shape.mesh)):
             with suppress(MeshError):  # said by the body itself
-                hull_of(shape)
+                (mesh_text if spec.static else hull_of)(shape)
+
+
+def _is_for_engine(mesh: str) -> bool:
+    """Returns whether the engine reads the mesh of a body that moves by itself."""
+    if not mesh.lower().endswith(_ENGINE_MESHES):
+        return False
+    try:
+        if os.path.getsize(mesh) <= _ENGINE_BYTES:
+            return True
+        # Each object of an OBJ has a hull of its own there: convex parts of a thing come like this.
+        return mesh.lower().endswith(".obj") and len(re.findall(rb"^[og]\s", Path(mesh).read_bytes(), re.MULTILINE)) > 1
+    except OSError:
+        return True  # which says what is wrong
 
 
 def hull_of(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -251,11 +270,33 @@ def hull_of(shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     Raises:
         MeshError: the mesh cannot be read, or is flat.
     """
+    return _hull(shape, _version(shape.mesh))
+
+
+def mesh_text(shape: Shape) -> bytes:
+    """Returns the text of an OBJ file with all triangles of a mesh under its scale, equal corners once; a file that changed is read anew.
+
+    Raises:
+        MeshError: the mesh cannot be read.
+    """
+    return _mesh_text(shape, _version(shape.mesh))
+
+
+def _version(file: str) -> tuple[int, ...]:
     try:
-        state = os.stat(shape.mesh)
+        state = os.stat(file)
     except (OSError, ValueError):
-        return _hull(shape, ())
-    return _hull(shape, (state.st_ino, state.st_size, state.st_mtime_ns))
+        return ()
+    return state.st_ino, state.st_size, state.st_mtime_ns
+
+
+@lru_cache(maxsize=16)
+def _mesh_text(shape: Shape, version: tuple[int, ...]) -> bytes:
+    del version
+    vertices, triangles = load_shape(shape).merged()
+    rows = np.ascontiguousarray(vertices + 0.0).view([("", np.float64)] * 3).ravel()  # + 0.0: -0 is 0
+    _, first, same = np.unique(rows, return_index=True, return_inverse=True)
+    return to_obj(vertices[first], same[triangles]).encode()
 
 
 @lru_cache(maxsize=256)

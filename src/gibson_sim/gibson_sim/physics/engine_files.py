@@ -5,13 +5,9 @@ from __future__ import annotations
 import hashlib
 import tempfile
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
 
 from gibson_sim.errors import MeshError
-from gibson_sim.physics.obj_text import to_obj, without_materials
+from gibson_sim.physics.obj_text import without_materials
 
 
 class EngineFiles:
@@ -39,15 +35,6 @@ class EngineFiles:
         path.write_text(text, encoding="utf-8")
         return path
 
-    def write_mesh(self, vertices: NDArray[np.float64], triangles: NDArray[Any]) -> Path:
-        """Returns an OBJ file with the triangles; equal ones share a file.
-
-        Args:
-            vertices: (V, 3), metres.
-            triangles: (T, 3) indices into ``vertices``.
-        """
-        return self._write_obj(to_obj(vertices, triangles).encode())
-
     def copy_obj(self, path: str) -> Path:
         """Returns an OBJ file with the shapes of another one alone: the engine would read its textures, too, and never let them go.
 
@@ -58,9 +45,10 @@ class EngineFiles:
             text = Path(path).read_bytes()
         except OSError as error:
             raise MeshError(f"{path}: cannot be read: {error.strerror}") from error
-        return self._write_obj(without_materials(text))
+        return self.write_obj(without_materials(text))
 
-    def _write_obj(self, text: bytes) -> Path:
+    def write_obj(self, text: bytes) -> Path:
+        """Returns an OBJ file with this text; equal ones share a file."""
         path = self.folder / f"{hashlib.sha256(text).hexdigest()[:32]}.obj"
         if not path.is_file():
             path.write_bytes(text)

@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.quoting import quoted
-
 
 def to_obj(vertices: NDArray[np.float64], triangles: NDArray[Any]) -> str:
     """Returns the text of an OBJ file that holds vertices, (V, 3), metres, exactly, and triangles, (T, 3), indices into them."""
-    lines = [f"v {quoted(x)} {quoted(y)} {quoted(z)}" for x, y, z in vertices.tolist()]
+    lines = [f"v {x!r} {y!r} {z!r}" for x, y, z in vertices.tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (triangles + 1).tolist()]
     return "\n".join(lines) + "\n"
 

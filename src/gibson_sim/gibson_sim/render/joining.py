@@ -22,6 +22,8 @@ I64 = NDArray[np.int64]
 CHUNK_TRIANGLES = 256
 DETAIL_FROM = 50_000
 """Scenes with fewer triangles are always drawn with all of them."""
+MOVING_DETAIL_UPTO = 60_000
+"""Triangles of a link: with more it is always drawn with all of them, since images wait while levels of detail of what was spawned are made."""
 BLEND_CHUNKS = 2048
 """Translucent piles are cut into about this many chunks or single triangles, since they are drawn in order of their distance."""
 
@@ -177,7 +179,8 @@ class Joiner:
         size = CHUNK_TRIANGLES
         if kind == "blend":
             size = min(max(len(triangles) // BLEND_CHUNKS, 1), size)
-        coarser, textured = self._coarser and kind != "blend", max(texture, maps) >= 0
+        slow = bool(link) and len(triangles) > MOVING_DETAIL_UPTO
+        coarser, textured = self._coarser and kind != "blend" and not slow, max(texture, maps) >= 0
         digest = hashlib.sha256(repr((size, coarser, textured, colored)).encode())
         for array in (vertices, triangles, *(() if fixed is None else (fixed,))):
             digest.update(np.ascontiguousarray(array).view(np.uint8).data)

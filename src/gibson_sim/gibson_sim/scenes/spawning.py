@@ -41,6 +41,8 @@ SPAWN_FORMATS: tuple[str, ...] = ("urdf", "sdf", "robot.yaml", *(suffix[1:] for 
 """What can be spawned, as in SimulatorFeatures.spawn_formats."""
 MAX_PARTS = 2000
 """Meshes in the nodes of a glTF that is spawned: a thing has few, and each takes time."""
+MAX_TRIANGLES, MAX_STATIC_TRIANGLES = 400_000, 150_000
+"""Triangles of all visuals of a thing, and of the collision shapes of a static one: images wait for the first, time for the second."""
 _TEXT = NOWHERE / "resource_string"
 _NOTHING = "neither a uri nor a resource_string is given; give one of them"
 _ALLOWED = f"give a {ROBOT_FILE}, a URDF, an SDF model, a folder with one of these, or a mesh ({', '.join(MESH_SUFFIXES)})"
@@ -236,10 +238,10 @@ def _urdf(
         model = parse_urdf(data, path, find)
     except RobotError as e:
         raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(_public(SpawnFailure.RESOURCE_PARSE_ERROR, e)) from e
-    _check(model, _loader(roots), read=True)
     root = model.links[0]
     # Gazebo's way to say that nothing moves it: a root link `world` with nothing in it.
     static = root.name == WORLD and not (root.visuals or root.collisions or root.inertial)
+    _check(model, _loader(roots), read=True, static=static)
     return BodySpec(name, model, pose, static, class_from_model(model.name))
 
 
@@ -257,7 +259,7 @@ def _sdf(top: ElementTree.Element, path: Path, name: str, pose: Pose, roots: tup
         # What is missing explains why too little is left.
         _raise_for(builder.warnings)
         raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(_public(SpawnFailure.RESOURCE_PARSE_ERROR, e)) from e
-    _check(body.model, builder.loader, read=False)
+    _check(body.model, builder.loader, read=False, static=body.static)
     return BodySpec(name, body.model, pose, body.static, class_from_model(body.model.name))
 
 
@@ -294,13 +296,14 @@ def _loader(roots: tuple[Path, ...]) -> MeshLoader:
     return MeshLoader(roots or None, textures=False, max_bytes=MAX_BYTES, max_parts=MAX_PARTS)
 
 
-def _check(model: UrdfModel, loader: MeshLoader, *, read: bool) -> None:
-    """Checks the numbers of a model and that nothing is missing.
+def _check(model: UrdfModel, loader: MeshLoader, *, read: bool, static: bool = False) -> None:
+    """Checks the numbers of a model, that nothing is missing, and that it is not too large for a running simulation.
 
     Args:
         model: the model.
         loader: reads its meshes.
         read: its meshes have not been read yet.
+        static: nothing moves it, so it is bumped into as its meshes are, not as their hulls.
     """
     lines = list(model.warnings)
     if read:
@@ -318,6 +321,20 @@ def _check(model: UrdfModel, loader: MeshLoader, *, read: bool) -> None:
     except (SceneError, RobotError) as e:
         raise SpawnError(SpawnFailure.RESOURCE_PARSE_ERROR, str(e)).telling(_public(SpawnFailure.RESOURCE_PARSE_ERROR, e)) from e
     _raise_for(lines)
+    _check_size(model, loader, static=static)
+
+
+def _check_size(model: UrdfModel, loader: MeshLoader, *, static: bool) -> None:
+    drawn = [visual.shape for link in model.links for visual in link.visuals]
+    touched = [collision.shape for link in model.links for collision in link.collisions] if static else []
+    for shapes, most, what in ((drawn, MAX_TRIANGLES, "to draw"), (touched, MAX_STATIC_TRIANGLES, "in its collision shapes")):
+        count = sum(loader.mesh(Path(shape.mesh)).triangle_count for shape in shapes if shape.kind == "mesh")
+        if count > most:
+            reason = (
+                f"has {count:,} triangles {what}, at most {most:,} may be spawned while a simulation runs; simplify its meshes, or "
+                "start with it: as --robot, or among the bodies of a scene"
+            )
+            raise SpawnError(SpawnFailure.UNSUPPORTED_ASSETS, f"{model.path}: {reason}").telling(reason)
 
 
 def _raise_for(lines: Sequence[str]) -> None:

@@ -16,7 +16,7 @@ from gibson_sim.geometry.transforms import (
     matrix_from_quat,
     pose_from_matrix,
 )
-from gibson_sim.physics.body import read_hulls
+from gibson_sim.physics.body import read_meshes
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.body import BodySpec
@@ -127,8 +127,8 @@ def _read_ahead(request: SpawnRequest, pose: Pose, taken: Mapping[str, object]) 
         spec = _load(request, name, pose)
     except SimulationError as error:
         return ReadAhead(in_file, name, pose, error)
-    if isinstance(spec, BodySpec) and not spec.static:
-        read_hulls(spec.model)
+    if isinstance(spec, BodySpec):
+        read_meshes(spec)
     return ReadAhead(in_file, name, pose, spec)
 
 
