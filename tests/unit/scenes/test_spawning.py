@@ -119,11 +119,14 @@ def test_mesh_becomes_one_rigid_link(tmp_path: Path, suffix: str) -> None:
 def test_thing_of_too_many_triangles_is_refused_with_what_to_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     _write(tmp_path / "square.obj", "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 1\nf 1 2 3\nf 1 3 4\n")
     geometry = "<geometry><mesh><uri>square.obj</uri></mesh></geometry>"
-    parts = f'<link name="l"><visual name="v">{geometry}</visual><collision name="c">{geometry}</collision></link>'
+    link = f"<link name='l'><visual name='v'>{geometry}</visual><collision name='c'>{geometry}</collision></link>"
+    moves, static = (
+        str(_write(tmp_path / f"{kind}.sdf", f"<sdf version='1.7'><model name='m'><static>{kind}</static>{link}</model></sdf>"))
+        for kind in ("false", "true")
+    )
     monkeypatch.setattr(spawning, "MAX_STATIC_TRIANGLES", 1)
-    moves = str(_write(tmp_path / "moves.sdf", _sdf(parts)))
     assert _body(moves).static is False, "its hull alone is touched"
-    error = _error(str(_write(tmp_path / "static.sdf", _sdf(f"<static>true</static>{parts}"))))
+    error = _error(static)
     assert error.code is CODES.UNSUPPORTED_ASSETS
     assert "has 2 triangles in its collision shapes, at most 1 may be spawned while a simulation runs; simplify" in error.public
     monkeypatch.setattr(spawning, "MAX_TRIANGLES", 1)
