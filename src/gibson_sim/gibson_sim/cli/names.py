@@ -53,9 +53,13 @@ def _check_robots(text: str) -> None:
         if "=" not in text:
             load_robot(text)
             return
+        names: list[str] = []
         for part in text.split(","):
             name, _, robot = (word.strip() for word in part.partition("="))
             if name and robot:
+                if name in names:
+                    raise ConfigError(f"two robots are called {quoted(name)}; names must differ")
+                names.append(name)
                 load_robot(robot, name=name)
             else:
                 raise ConfigError(

@@ -46,6 +46,8 @@ def populate(
 
 def place_robots(scene: SceneSpec, robots: str, start: str = "", *, robot_tf: str = "namespaced") -> SceneSpec:
     """Returns the scene with its robots; the arguments are those of ``populate``."""
+    if not robots.strip():
+        raise ConfigError("robot is empty: name one, such as gibson_bot, or give its file")
     if "=" not in robots:
         robot = load_robot(robots)
         return with_robots(scene, [replace(robot, start=start_pose(scene, robot, start))])
