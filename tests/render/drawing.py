@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.geometry.transforms import R_LINK_OPTICAL, quat_from_matrix
+from gibson_sim.geometry.transforms import R_LINK_OPTICAL, camera_pose, quat_from_matrix
 from gibson_sim.render.batches import Loader
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.robots.spec import Shape, VisualSpec
@@ -34,13 +34,8 @@ DARK = LightSpec(background=(0.0, 0.0, 0.0))
 
 def eye_at(position: Vec3, look_at: Vec3 | None = None, **changes: object) -> CameraSpec:
     """Returns the usual camera at ``position``, looking along +x or at a point (not straight up or down)."""
-    rotation = R_LINK_OPTICAL
-    if look_at is not None:
-        forward = np.subtract(look_at, position) / np.linalg.norm(np.subtract(look_at, position))
-        right = np.cross(forward, (0.0, 0.0, 1.0))
-        right /= np.linalg.norm(right)
-        rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
-    return replace(EYE, pose=Pose(position, quat_from_matrix(rotation)), **changes)
+    pose = Pose(position, quat_from_matrix(R_LINK_OPTICAL)) if look_at is None else camera_pose(position, look_at)
+    return replace(EYE, pose=pose, **changes)
 
 
 def box(

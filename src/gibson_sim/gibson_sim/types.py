@@ -280,6 +280,15 @@ class SceneState:
         if shapes != ((n, 3), (n, 4), (n, 6)):
             raise ConfigError(f"scene state with {n} links has arrays of shapes {shapes}; must be ({n}, 3), ({n}, 4), ({n}, 6)")
 
+    @classmethod
+    def still(cls, revision: int = 1) -> SceneState:
+        """Returns the state, at time 0, of a scene without links: nothing in it moves.
+
+        Args:
+            revision: of the scene.
+        """
+        return cls(0, 0, revision, (), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6)))
+
 
 @dataclass(frozen=True, slots=True)
 class VelocityCommand:

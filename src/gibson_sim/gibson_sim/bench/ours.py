@@ -20,7 +20,7 @@ from gibson_sim.scenes.spec import drawn_scene
 from gibson_sim.types import CameraSpec, Frame, Output, Pose, SceneState
 
 NEAR, FAR = 0.05, 100.0
-STILL = SceneState(0, 0, 1, (), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6)))
+STILL = SceneState.still()
 """State of a scene in which nothing moves."""
 
 

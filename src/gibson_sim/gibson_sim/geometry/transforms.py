@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gibson_sim.errors import ConfigError
 from gibson_sim.types import Pose, Quat, Vec3
 
 Mat3 = NDArray[np.float64]
@@ -48,6 +49,24 @@ def matrix_from_quat(quat_xyzw: ArrayLike) -> NDArray[np.float64]:
     out[..., 1, 0], out[..., 1, 1], out[..., 1, 2] = 2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)
     out[..., 2, 0], out[..., 2, 1], out[..., 2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)
     return out
+
+
+def camera_pose(eye: Vec3, look_at: Vec3) -> Pose:
+    """Returns T_world_optical of a level camera: x to the right, y down, z towards what it looks at.
+
+    Args:
+        eye: where it is, metres.
+        look_at: a point in the middle of its image, metres; not the eye itself, nor straight above or below it.
+
+    Raises:
+        ConfigError: no level camera looks there.
+    """
+    forward = np.subtract(look_at, eye).astype(np.float64)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    if not (np.isfinite(forward).all() and np.linalg.norm(right) > 1e-9):
+        raise ConfigError(f"camera at {eye} looks at {look_at}: must be another point, not straight above or below")
+    forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
+    return Pose(eye, quat_from_matrix(np.stack([right, np.cross(forward, right), forward], axis=1)))
 
 
 def turned(quat_xyzw: Quat, vector: Vec3) -> Vec3:

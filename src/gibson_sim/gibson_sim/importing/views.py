@@ -96,13 +96,9 @@ def _still_renderer(scene: SceneSpec) -> Renderer:
 
 
 def _drawn(renderer: Renderer, scene: SceneSpec, camera: CameraSpec) -> Rgb:
-    picture = renderer.render(_nothing_moves(scene), [camera])[0].rgb
+    picture = renderer.render(SceneState.still(scene.revision), [camera])[0].rgb
     assert picture is not None
     return picture
-
-
-def _nothing_moves(scene: SceneSpec) -> SceneState:
-    return SceneState(0, 0, scene.revision, (), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6)))
 
 
 def _eyes(renderer: Renderer, level: SceneSpec, floor: FloorMap, count: int) -> list[CameraSpec]:
@@ -113,7 +109,7 @@ def _eyes(renderer: Renderer, level: SceneSpec, floor: FloorMap, count: int) -> 
             f"scene {quoted(level.name)}: nothing is free on the floor at z = {level.floor_z:.2f} m; look at `gibson-sim scene check`"
         )
     z = level.floor_z + EYE_HEIGHT
-    places, yaws = _best(renderer, _nothing_moves(level), candidates, z, count)
+    places, yaws = _best(renderer, SceneState.still(level.revision), candidates, z, count)
     return [_eye(x, y, z, yaw) for (x, y), yaw in zip(places.tolist(), yaws, strict=True)]
 
 

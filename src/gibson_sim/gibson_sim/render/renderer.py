@@ -30,8 +30,8 @@ from gibson_sim.render.readback import Readback, Shot, needed
 from gibson_sim.render.target import Target
 from gibson_sim.render.tensors import TensorFrame, Tensors
 from gibson_sim.render.visibility import world_from_links
-from gibson_sim.scenes.mesh import MeshLoader, mesh_folders
-from gibson_sim.scenes.spec import DrawnScene
+from gibson_sim.scenes.mesh import MeshLoader, mesh_folders, scene_roots
+from gibson_sim.scenes.spec import DrawnScene, SceneSpec, drawn_scene
 from gibson_sim.types import CameraSpec, Frame, Pose, SceneState
 
 
@@ -43,7 +43,7 @@ class Renderer:
     0.9; elsewhere they tint what is behind them, whose depth is reported.
 
     Args:
-        scene: what to draw.
+        scene: what to draw: a scene as ``load_scene`` returns it, without what moves, or one with links (``drawn_scene``).
         device: EGL device, by number or UUID (see ``gibson-sim doctor``); None = a GPU if one works, else software.
         library: name of the EGL library.
         loader: returns the mesh of a shape; None = reads the files.
@@ -63,7 +63,7 @@ class Renderer:
 
     def __init__(
         self,
-        scene: DrawnScene,
+        scene: DrawnScene | SceneSpec,
         *,
         device: int | str | None = None,
         library: str = LIBRARY,
@@ -83,6 +83,9 @@ class Renderer:
         self._tensors: Tensors | None = None
         self._drawing: Drawing | None = None
         self._thread = threading.get_ident()
+        if isinstance(scene, SceneSpec):
+            allowed_roots = scene_roots(scene) if allowed_roots is None else allowed_roots
+            scene = drawn_scene(scene, ())
         self._loader, self._allowed_roots, self._cache = loader, allowed_roots, cache
         self._own_loader: MeshLoader | None = None
         self._detail_px, self._compress, self._cull = detail_px, compress_textures, cull

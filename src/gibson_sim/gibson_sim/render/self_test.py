@@ -84,7 +84,7 @@ def self_test(device: int | str | None = None) -> str:
         outputs=("rgb", "depth", "semantic", "instance"),
     )  # fmt: skip
     visuals = tuple(VisualSpec(p.name, "", Shape("mesh", mesh=f"/{p.name}"), semantic_class=p.name) for p in _PLATES)
-    state = SceneState(0, 0, 1, (), np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 6)))
+    state = SceneState.still()
     scene = DrawnScene("self test", 1, "", (), visuals, (eye,), LightSpec(background=(0.0, 0.0, 0.0)))
     with Renderer(scene, device=device, loader=_loader()) as renderer:
         frame = renderer.render(state, (eye,))[0]
