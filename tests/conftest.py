@@ -12,7 +12,7 @@ import pytest
 
 from gibson_sim.errors import AlreadyRunningError
 from gibson_sim.reach import PROFILE_VARIABLE, RANGE_VARIABLE
-from gibson_sim.simulation.domain_lock import DomainLock
+from gibson_sim.standard.domain_lock import DomainLock
 from support.simulation import Listener, new_context, require
 
 ROOT = Path(__file__).resolve().parents[1]

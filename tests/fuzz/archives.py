@@ -16,7 +16,7 @@ from fuzz.live import live, simulator
 from fuzz.trial import Trial
 from gibson_sim.importing.archives import ArchiveLimits, unpack
 from gibson_sim.importing.run import import_scene
-from gibson_sim.simulation.requests import LoadRequest
+from gibson_sim.standard.requests import LoadRequest
 
 _NAMES = (
     "../out.txt",

@@ -9,7 +9,7 @@ from fuzz import seeds
 from fuzz.grammar import SECRET_NUMBER, Mutator
 from fuzz.live import live, simulator
 from fuzz.trial import Trial
-from gibson_sim.simulation.population import SpawnRequest
+from gibson_sim.standard.population import SpawnRequest
 
 
 def make(mutator: Mutator, folder: Path) -> None:

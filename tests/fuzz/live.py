@@ -16,9 +16,9 @@ from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.scenes.spec import SceneSpec, drawn_scene
 from gibson_sim.sensors.suite import SensorSuite
-from gibson_sim.simulation.filters import TagsFilter
-from gibson_sim.simulation.simulator import Simulator
-from gibson_sim.simulation.states import SimulationState
+from gibson_sim.standard.filters import TagsFilter
+from gibson_sim.standard.simulator import Simulator
+from gibson_sim.standard.states import SimulationState
 from gibson_sim.types import CameraSpec, Pose, VelocityCommand
 
 STEPS = 8

@@ -11,8 +11,8 @@ from fuzz.live import live, simulator
 from fuzz.trial import Trial
 from gibson_sim.errors import MeshError
 from gibson_sim.scenes.mesh import MeshLoader
-from gibson_sim.simulation.population import SpawnRequest
-from gibson_sim.simulation.requests import LoadRequest
+from gibson_sim.standard.population import SpawnRequest
+from gibson_sim.standard.requests import LoadRequest
 
 
 def make(mutator: Mutator, folder: Path) -> None:

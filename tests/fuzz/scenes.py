@@ -10,9 +10,9 @@ from fuzz.grammar import Mutator
 from fuzz.live import live, simulator
 from fuzz.meshes import change
 from fuzz.trial import Trial
-from gibson_sim.simulation.catalogue import available_worlds, spawnables
-from gibson_sim.simulation.filters import TagsFilter
-from gibson_sim.simulation.requests import LoadRequest
+from gibson_sim.standard.catalogue import available_worlds, spawnables
+from gibson_sim.standard.filters import TagsFilter
+from gibson_sim.standard.requests import LoadRequest
 
 
 def make(mutator: Mutator, folder: Path) -> None:

@@ -16,10 +16,10 @@ from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.spec import RobotSpec, Shape
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
-from gibson_sim.simulation.codes import SimulationError, SpawnCode
-from gibson_sim.simulation.filters import EntityFilters
-from gibson_sim.simulation.population import SpawnRequest
-from gibson_sim.simulation.simulator import Simulator
+from gibson_sim.standard.codes import SimulationError, SpawnCode
+from gibson_sim.standard.filters import EntityFilters
+from gibson_sim.standard.population import SpawnRequest
+from gibson_sim.standard.simulator import Simulator
 from gibson_sim.types import Pose
 from support.yard import box
 

@@ -18,7 +18,7 @@ from gibson_sim.bench.ros_report import report_text  # noqa: E402
 from gibson_sim.cli import bench_ros  # noqa: E402
 from gibson_sim.cli.bench_ros import measure  # noqa: E402
 from gibson_sim.cli.main import main  # noqa: E402
-from gibson_sim.simulation.domain_lock import DomainLock  # noqa: E402
+from gibson_sim.standard.domain_lock import DomainLock  # noqa: E402
 
 pytestmark = pytest.mark.ros
 TINY = Plan(

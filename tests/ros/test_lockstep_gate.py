@@ -20,7 +20,7 @@ from gibson_sim.config import PhysicsConfig  # noqa: E402
 from gibson_sim.ros import lockstep_gate, names  # noqa: E402
 from gibson_sim.ros.lockstep_gate import LockstepGate  # noqa: E402
 from gibson_sim.ros.physics_node import PhysicsNode  # noqa: E402
-from gibson_sim.simulation.lockstep import CAMERAS  # noqa: E402
+from gibson_sim.standard.lockstep import CAMERAS  # noqa: E402
 
 
 class Graph:

@@ -34,7 +34,7 @@ from gibson_sim.bags.writer import BagWriter  # noqa: E402
 from gibson_sim.cli.environment import PARENT_VARIABLE  # noqa: E402
 from gibson_sim.ros import qos  # noqa: E402
 from gibson_sim.ros.conversions import time_to_msg  # noqa: E402
-from gibson_sim.simulation.domain_lock import DomainLock  # noqa: E402
+from gibson_sim.standard.domain_lock import DomainLock  # noqa: E402
 from support.clients import DEEP, LATCHED, Control, LaunchedNode  # noqa: E402
 
 pytestmark = pytest.mark.ros

@@ -29,9 +29,9 @@ from simulation_interfaces import msg, srv  # noqa: E402
 from simulation_interfaces.action import SimulateSteps  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
 
-from gibson_sim.simulation import codes  # noqa: E402
-from gibson_sim.simulation.features import FEATURES  # noqa: E402
-from gibson_sim.simulation.states import SimulationState  # noqa: E402
+from gibson_sim.standard import codes  # noqa: E402
+from gibson_sim.standard.features import FEATURES  # noqa: E402
+from gibson_sim.standard.states import SimulationState  # noqa: E402
 
 pytestmark = pytest.mark.ros
 

@@ -1,6 +1,94 @@
-"""Gibson Sim: a ROS 2 simulation server for indoor robots (PyBullet physics, EGL rendering).
+"""Gibson Sim: a ROS 2 simulation server for indoor robots, and a simulation in one Python process.
 
-Importing this package executes nothing and loads neither ROS, PyBullet, OpenGL nor torch.
+    import gibson_sim as gs
+
+    with gs.Simulation("linden_flat", robot="gibson_bot", seed=0) as sim:
+        sim.command(linear=0.3, angular=0.1)                          # m/s, rad/s
+        state = sim.step(seconds=1.0)                                 # exactly 240 physics steps
+        frame = sim.render("camera", outputs=["rgb", "depth"])        # drawn from that state, nothing else
+        print(sim.robot.pose, frame.rgb.shape, sim.scan())
+
+What is listed in ``__all__`` is public: it changes only with an announcement in the changelog. All modules are private.
+
+Simulation      scene, robots, physics, sensors and renderer in one process; ``Robot``, ``SavedRun`` and ``Scan`` come from it
+Renderer        draws a scene and its states: cameras of any kind, colour, depth, labels, normals, flow; needs no physics
+PhysicsWorld    physics alone: commands and time go in, poses come out
+load_scene, load_robot, list_scenes, list_robots, drawn_scene, camera_pose
+*Spec           what there is: scenes, robots, bodies, cameras, light
+SceneState, Frame, ...   what flows between them, frozen, with units in their docstrings
+GibsonSimError  and its kinds: every error that is raised on purpose, one line each
+
+SI units and radians, frames of REP 103 and REP 105, quaternions (x, y, z, w). Importing this package executes nothing: neither PyBullet nor
+OpenGL, ROS nor PyTorch is loaded before it is needed. The tutorial is docs/python.md.
 """
 
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
 __version__ = "0.1.0"
+
+_HOMES = {
+    "gibson_sim.simulation": ("Robot", "SavedRun", "Simulation"),
+    "gibson_sim.render.renderer": ("Renderer",),
+    "gibson_sim.physics.world": ("PhysicsWorld",),
+    "gibson_sim.resources": ("list_robots", "list_scenes"),
+    "gibson_sim.scenes.load": ("load_scene",),
+    "gibson_sim.scenes.robot_files": ("load_robot",),
+    "gibson_sim.scenes.spec": ("DrawnScene", "LightSpec", "PointLight", "SceneSpec", "drawn_scene"),
+    "gibson_sim.robots.spec": ("RobotSpec",),
+    "gibson_sim.robots.body": ("BodySpec",),
+    "gibson_sim.geometry.transforms": ("camera_pose",),
+    "gibson_sim.sensors.lidar": ("Scan",),
+    "gibson_sim.types": (
+        "OUTPUTS", "CameraSpec", "Contact", "DepthNoise", "Frame", "ImageEffects", "JointStates", "Odometry", "Pose", "SceneState",
+        "VelocityCommand",
+    ),
+    "gibson_sim.errors": (
+        "CommandError", "ConfigError", "EnvironmentProblemError", "GibsonSimError", "GraphicsUnavailableError", "MeshError", "PhysicsError",
+        "RenderError", "RobotError", "SceneError", "SceneMismatchError", "SceneNotFoundError", "StartError",
+    ),
+}  # fmt: skip
+"""Module -> what it is the home of."""
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+
+if TYPE_CHECKING:
+    from gibson_sim.errors import (
+        CommandError, ConfigError, EnvironmentProblemError, GibsonSimError, GraphicsUnavailableError, MeshError, PhysicsError,
+        RenderError, RobotError, SceneError, SceneMismatchError, SceneNotFoundError, StartError,
+    )  # fmt: skip
+    from gibson_sim.geometry.transforms import camera_pose
+    from gibson_sim.physics.world import PhysicsWorld
+    from gibson_sim.render.renderer import Renderer
+    from gibson_sim.resources import list_robots, list_scenes
+    from gibson_sim.robots.body import BodySpec
+    from gibson_sim.robots.spec import RobotSpec
+    from gibson_sim.scenes.load import load_scene
+    from gibson_sim.scenes.robot_files import load_robot
+    from gibson_sim.scenes.spec import DrawnScene, LightSpec, PointLight, SceneSpec, drawn_scene
+    from gibson_sim.sensors.lidar import Scan
+    from gibson_sim.simulation import Robot, SavedRun, Simulation
+    from gibson_sim.types import (
+        OUTPUTS, CameraSpec, Contact, DepthNoise, Frame, ImageEffects, JointStates, Odometry, Pose, SceneState, VelocityCommand,
+    )  # fmt: skip
+
+__all__ = [
+    "OUTPUTS", "BodySpec", "CameraSpec", "CommandError", "ConfigError", "Contact", "DepthNoise", "DrawnScene", "EnvironmentProblemError",
+    "Frame", "GibsonSimError", "GraphicsUnavailableError", "ImageEffects", "JointStates", "LightSpec", "MeshError", "Odometry",
+    "PhysicsError", "PhysicsWorld", "PointLight", "Pose", "RenderError", "Renderer", "Robot", "RobotError", "RobotSpec", "SavedRun",
+    "Scan", "SceneError", "SceneMismatchError", "SceneNotFoundError", "SceneSpec", "SceneState", "Simulation", "StartError",
+    "VelocityCommand", "camera_pose", "drawn_scene", "list_robots", "list_scenes", "load_robot", "load_scene",
+]  # fmt: skip
+
+
+def __getattr__(name: str) -> object:
+    """Loads a public name when it is first asked for."""
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = globals()[name] = getattr(import_module(_HOME_OF[name]), name)
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

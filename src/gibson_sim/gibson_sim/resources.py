@@ -84,8 +84,17 @@ def find_robot(name_or_path: str | Path) -> Path:
     Raises:
         RobotError: there is no such robot; says where it was looked for and names the nearest known one.
     """
-    folders = (*_folders("robots"), *(share / "config" / "robots" for share in share_folders()))
-    return _find(name_or_path, folders, _CONFIG_SUFFIXES, RobotError, "robot")
+    return _find(name_or_path, _robot_folders(), _CONFIG_SUFFIXES, RobotError, "robot")
+
+
+def list_scenes() -> list[str]:
+    """Returns the names of all scenes that need no path, in alphabetical order."""
+    return sorted(known_scenes())
+
+
+def list_robots() -> list[str]:
+    """Returns the names of all robots that need no path, in alphabetical order."""
+    return sorted(set(_names(_robot_folders())))
 
 
 def known_scenes() -> dict[str, Path]:
@@ -105,6 +114,10 @@ def cache_folder(kind: str) -> Path:
     """
     base = os.environ.get("XDG_CACHE_HOME", "")
     return (Path(base) if base else Path.home() / ".cache") / "gibson-sim" / kind
+
+
+def _robot_folders() -> tuple[Path, ...]:
+    return (*_folders("robots"), *(share / "config" / "robots" for share in share_folders()))
 
 
 def _folders(kind: str) -> tuple[Path, ...]:

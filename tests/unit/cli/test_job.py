@@ -10,7 +10,7 @@ import pytest
 
 from gibson_sim.cli import job as job_module, run
 from gibson_sim.cli.job import Job, JobRun
-from gibson_sim.simulation.job_folder import LOADED
+from gibson_sim.standard.job_folder import LOADED
 
 
 class Played:

@@ -15,9 +15,9 @@ from simulation_interfaces import msg, srv  # noqa: E402
 
 from gibson_sim.ros import simulation_conversions as convert  # noqa: E402
 from gibson_sim.scenes.spawning import Spawnable  # noqa: E402
-from gibson_sim.simulation.bounds import Bounds, BoundsType, Overlap  # noqa: E402
-from gibson_sim.simulation.codes import SimulationError  # noqa: E402
-from gibson_sim.simulation.requests import LoadRequest  # noqa: E402
+from gibson_sim.standard.bounds import Bounds, BoundsType, Overlap  # noqa: E402
+from gibson_sim.standard.codes import SimulationError  # noqa: E402
+from gibson_sim.standard.requests import LoadRequest  # noqa: E402
 
 pytestmark = pytest.mark.ros
 RESOURCE = SimpleNamespace(uri="a.urdf", resource_string="<robot/>")

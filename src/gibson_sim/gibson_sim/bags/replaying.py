@@ -18,7 +18,7 @@ from gibson_sim.bags.reader import BagReader
 from gibson_sim.bags.stamps import header_stamp_ns
 from gibson_sim.errors import RecordError, TextError
 from gibson_sim.reading import parse_yaml
-from gibson_sim.simulation.requests import EPOCH_REQUESTS
+from gibson_sim.standard.requests import EPOCH_REQUESTS
 from gibson_sim.types import NS_PER_S
 
 _INPUT, _DIGEST, _RUN_INFO = "gibson_msgs/msg/Input", "gibson_msgs/msg/TickDigest", "gibson_msgs/msg/RunInfo"

@@ -31,7 +31,7 @@ from gibson_sim.cli.bench_processes import CAMERA, BenchError, answer, process, 
 from gibson_sim.cli.environment import RMW, domain_of, node_environment, require_nodes
 from gibson_sim.cli.report_file import add_report_options, chosen, tell, write_json
 from gibson_sim.cli.shared_memory import remove_dead_segments
-from gibson_sim.simulation.domain_lock import DomainLock
+from gibson_sim.standard.domain_lock import DomainLock
 
 START_S = 90.0
 """Within so long a simulation has loaded its scene."""

@@ -20,8 +20,8 @@ from gibson_sim.cli.restarts import Restarts
 from gibson_sim.cli.shared_memory import remove_dead_segments
 from gibson_sim.errors import ConfigError, GibsonSimError, RecordError
 from gibson_sim.reach import describe_reach
-from gibson_sim.simulation.domain_lock import DomainLock
-from gibson_sim.simulation.job_folder import LOADED, JobFolder
+from gibson_sim.standard.domain_lock import DomainLock
+from gibson_sim.standard.job_folder import LOADED, JobFolder
 
 MAX_RESTARTS, RESTART_WINDOW_S = 3, 600.0
 """A render node that crashes once more within this time, seconds of wall time, ends the run."""

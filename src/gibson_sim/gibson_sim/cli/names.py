@@ -94,7 +94,7 @@ def _check_file(name: str) -> None:
 
 
 def _check_participants(text: str) -> None:
-    from gibson_sim.simulation.lockstep import parse_participants
+    from gibson_sim.standard.lockstep import parse_participants
 
     parse_participants(text)
 

@@ -52,8 +52,15 @@ class SceneCache:
         self._folder, self._limit = folder, limit_bytes
         self._distrusted = False
 
-    def path(self, visuals: Sequence[VisualSpec], links: Sequence[str], labels: Sequence[tuple[int, int]], coarser: bool) -> Path:
-        """Returns the file for what is drawn; the arguments are those of ``build_batches``."""
+    def path(
+        self,
+        visuals: Sequence[VisualSpec],
+        links: Sequence[str],
+        labels: Sequence[tuple[int, int]],
+        coarser: bool,
+        roots: Sequence[Path] = (),
+    ) -> Path:
+        """Returns the file for what is drawn; ``roots`` are the folders that its files may lie in, the others as in ``build_batches``."""
         digest = hashlib.sha256(_MAGIC)
         used = {visual.link for visual in visuals}
         # What comes behind the last link that is drawn, such as views, changes nothing.
@@ -63,6 +70,7 @@ class SceneCache:
             _code_digest(),
             simplifier() is not None,
             coarser,
+            sorted(map(str, roots)),
             tuple(links)[:count],
             tuple(labels),
             *visuals,

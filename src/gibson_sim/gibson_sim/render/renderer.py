@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -85,7 +86,7 @@ class Renderer:
         self._thread = threading.get_ident()
         if isinstance(scene, SceneSpec):
             allowed_roots = scene_roots(scene) if allowed_roots is None else allowed_roots
-            scene = drawn_scene(scene, ())
+            scene = drawn_scene(replace(scene, robots=(), bodies=()), ())
         self._loader, self._allowed_roots, self._cache = loader, allowed_roots, cache
         self._own_loader: MeshLoader | None = None
         self._detail_px, self._compress, self._cull = detail_px, compress_textures, cull
@@ -356,14 +357,14 @@ def _loaded(
     progress: Progress | None,
 ) -> Batches:
     """Returns the triangles of a scene, out of the cache if they are there."""
-    labels = scene.labels()
+    labels, roots = scene.labels(), _roots(scene, allowed_roots)
     kept = SceneCache(folder) if folder is not None and loader is None else None
-    path = kept.path(scene.visuals, scene.links, labels, coarser) if kept is not None else None
+    path = kept.path(scene.visuals, scene.links, labels, coarser, roots) if kept is not None else None
     if kept is not None and path is not None:
         found = kept.load(path)
         if found is not None:
             return found
-    load = loader or MeshLoader(_roots(scene, allowed_roots)).shape
+    load = loader or MeshLoader(roots).shape
     batches = build_batches(scene.visuals, scene.links, load, labels, coarser=coarser, progress=progress)
     if kept is not None and path is not None:
         kept.store(path, batches)

@@ -11,7 +11,7 @@ from rclpy.node import Node
 from gibson_msgs.msg import TickDone
 from gibson_sim.quoting import quoted
 from gibson_sim.ros import names, qos
-from gibson_sim.simulation.lockstep import CAMERAS
+from gibson_sim.standard.lockstep import CAMERAS
 from gibson_sim.types import NS_PER_S, CameraSpec
 
 _LOOK_NS = NS_PER_S // 10

@@ -14,8 +14,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from gibson_msgs.msg import Input
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.message_types import UNKNOWN, message_class, type_name_of
-from gibson_sim.simulation.requests import EPOCH_REQUESTS
-from gibson_sim.simulation.simulator import Simulator
+from gibson_sim.standard.requests import EPOCH_REQUESTS
+from gibson_sim.standard.simulator import Simulator
 
 logger = logging.getLogger(__name__)
 

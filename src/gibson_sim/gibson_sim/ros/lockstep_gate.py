@@ -17,7 +17,7 @@ from gibson_sim.quoting import quoted
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.matching import reaches_all
 from gibson_sim.ros.stamped_commands import StampedCommands
-from gibson_sim.simulation.lockstep import CAMERAS, Lockstep, parse_participants
+from gibson_sim.standard.lockstep import CAMERAS, Lockstep, parse_participants
 from gibson_sim.types import NS_PER_S
 
 LATE_NS = 2 * NS_PER_S

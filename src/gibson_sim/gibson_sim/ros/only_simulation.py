@@ -10,7 +10,7 @@ from rclpy.node import Node
 from gibson_sim.errors import AlreadyRunningError
 from gibson_sim.ros import names
 from gibson_sim.ros.node_main import started_by_launcher
-from gibson_sim.simulation.domain_lock import DomainLock
+from gibson_sim.standard.domain_lock import DomainLock
 
 DISCOVERY_S, LATE_DISCOVERY_S = 3.0, 10.0
 """Within so long a new participant has heard of the others: usually, and on a busy machine."""

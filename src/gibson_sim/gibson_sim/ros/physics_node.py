@@ -39,9 +39,9 @@ from gibson_sim.ros.unreceived import UnreceivedPublishers
 from gibson_sim.ros.world_interface import WorldInterface
 from gibson_sim.scenes.placement import populate
 from gibson_sim.scenes.randomise_yaml import load_rules
-from gibson_sim.simulation.job_folder import LOADED, note_in_job
-from gibson_sim.simulation.simulator import Simulator
-from gibson_sim.simulation.states import SimulationState
+from gibson_sim.standard.job_folder import LOADED, note_in_job
+from gibson_sim.standard.simulator import Simulator
+from gibson_sim.standard.states import SimulationState
 from gibson_sim.types import NS_PER_S
 
 _MOST_TICKS_OF_LOCKSTEP = 64

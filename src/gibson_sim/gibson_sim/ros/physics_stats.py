@@ -16,8 +16,8 @@ from gibson_sim.ros.journal import Journal
 from gibson_sim.ros.lockstep_gate import LockstepGate
 from gibson_sim.ros.pacing import Pacer
 from gibson_sim.ros.robot_interface import RobotInterface
-from gibson_sim.simulation.simulator import Simulator
-from gibson_sim.simulation.states import SimulationState
+from gibson_sim.standard.simulator import Simulator
+from gibson_sim.standard.states import SimulationState
 from gibson_sim.types import NS_PER_S
 
 

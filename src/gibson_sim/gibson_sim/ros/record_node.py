@@ -25,7 +25,7 @@ from gibson_sim.ros.node_main import goes_on, run_node, started_by_launcher, wri
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.ros.record_services import offer_services
 from gibson_sim.settings import nearest
-from gibson_sim.simulation.lockstep import CAMERAS
+from gibson_sim.standard.lockstep import CAMERAS
 
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"
 TURN_S = 0.01

@@ -30,7 +30,7 @@ from gibson_sim.ros.run_info import publish_run_info
 from gibson_sim.scenes.asset_paths import with_local_files
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.sensors.taking import PictureTaker
-from gibson_sim.simulation.lockstep import CAMERAS
+from gibson_sim.standard.lockstep import CAMERAS
 from gibson_sim.types import Frame, SceneState as State
 
 _SCENE_PATIENCE_S = 2.0

@@ -9,7 +9,7 @@ from typing import Any
 from simulation_interfaces.action import SimulateSteps
 
 from gibson_sim.errors import GibsonSimError
-from gibson_sim.simulation.codes import Result, SimulationError, shortened
+from gibson_sim.standard.codes import Result, SimulationError, shortened
 
 logger = logging.getLogger(__name__)
 

@@ -18,11 +18,11 @@ from simulation_interfaces.msg import (
 from gibson_sim.ros.conversions.basics import header_to_msg, pose_to_msg, vector_from_msg, vector_to_msg
 from gibson_sim.scenes.named_poses import NamedPose
 from gibson_sim.scenes.spawning import Spawnable
-from gibson_sim.simulation.bounds import MOST_POINTS, Bounds, box_bounds
-from gibson_sim.simulation.entities import EntityInfo
-from gibson_sim.simulation.filters import EntityFilters, TagsFilter
-from gibson_sim.simulation.population import EntityState, SpawnRequest, StateChange
-from gibson_sim.simulation.requests import LoadRequest, WorldInfo
+from gibson_sim.standard.bounds import MOST_POINTS, Bounds, box_bounds
+from gibson_sim.standard.entities import EntityInfo
+from gibson_sim.standard.filters import EntityFilters, TagsFilter
+from gibson_sim.standard.population import EntityState, SpawnRequest, StateChange
+from gibson_sim.standard.requests import LoadRequest, WorldInfo
 from gibson_sim.types import WORLD_FRAME, Quat
 
 

@@ -1,6 +1,6 @@
 """The services and the action of ``simulation_interfaces`` around a ``Simulator``.
 
-The node's loop is in the docstring of ``gibson_sim.simulation.simulator``. Whatever a client sends, it gets a result: an error of this
+The node's loop is in the docstring of ``gibson_sim.standard.simulator``. Whatever a client sends, it gets a result: an error of this
 package becomes its code, any other one RESULT_OPERATION_FAILED and a traceback in the log. Services that take long do not hold up the
 loop: steps are made in its turns, worlds are read in a thread, many entities are spawned a few at a time.
 """
@@ -32,14 +32,14 @@ from gibson_sim.ros.in_order import InOrder
 from gibson_sim.ros.results import end_goal, failed, succeeded
 from gibson_sim.scenes.spawning import SPAWN_FORMATS
 from gibson_sim.scenes.spec import SceneSpec
-from gibson_sim.simulation import catalogue
-from gibson_sim.simulation.codes import Result, SimulationError, SpawnEntitiesCode
-from gibson_sim.simulation.features import supported_features
-from gibson_sim.simulation.population import ReadAhead
-from gibson_sim.simulation.requests import LoadRequest, WorldInfo
-from gibson_sim.simulation.simulator import Simulator
-from gibson_sim.simulation.states import SimulationState
-from gibson_sim.simulation.stepping import StepRequest
+from gibson_sim.standard import catalogue
+from gibson_sim.standard.codes import Result, SimulationError, SpawnEntitiesCode
+from gibson_sim.standard.features import supported_features
+from gibson_sim.standard.population import ReadAhead
+from gibson_sim.standard.requests import LoadRequest, WorldInfo
+from gibson_sim.standard.simulator import Simulator
+from gibson_sim.standard.states import SimulationState
+from gibson_sim.standard.stepping import StepRequest
 
 logger = logging.getLogger(__name__)
 

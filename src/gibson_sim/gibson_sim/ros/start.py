@@ -16,7 +16,7 @@ from gibson_sim import interrupts
 def run(module: str) -> None:
     """Runs ``main`` of a module; it takes the command line from ``sys.argv``."""
     interrupts.end_silently()
-    from gibson_sim.simulation.job_folder import leave_job
+    from gibson_sim.standard.job_folder import leave_job
 
     main: Any = import_module(module).main
     try:

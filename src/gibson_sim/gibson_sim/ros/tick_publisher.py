@@ -22,9 +22,9 @@ from gibson_sim.ros.robot_interface import RobotInterface
 from gibson_sim.ros.world_interface import WorldInterface
 from gibson_sim.sensors.schedule import is_due
 from gibson_sim.sensors.suite import Measurements
-from gibson_sim.simulation.lockstep import CAMERAS
-from gibson_sim.simulation.simulator import Simulator
-from gibson_sim.simulation.states import SimulationState
+from gibson_sim.standard.lockstep import CAMERAS
+from gibson_sim.standard.simulator import Simulator
+from gibson_sim.standard.states import SimulationState
 from gibson_sim.types import CameraSpec, SceneState
 
 _Measured = Mapping[str, Measurements]

@@ -128,6 +128,19 @@ def ranges_from_distances(
     return ranges
 
 
+def noise_of(robot: str, spec: LidarSpec | Lidar3DSpec, seed: int) -> NoiseSource | None:
+    """Returns where a lidar's random errors come from; None where it has none.
+
+    Args:
+        robot: who carries it.
+        spec: the lidar.
+        seed: of the simulation.
+    """
+    if not (spec.range_noise or spec.range_noise_ratio or spec.range_scale or spec.resolution or spec.dropout):
+        return None
+    return NoiseSource(f"{robot}/{spec.name}", seed, spec.seed)
+
+
 def measure_scan(spec: LidarSpec, state: SceneState, cast_rays: CastRays, noise: NoiseSource | None = None) -> Scan:
     """Returns what the lidar sees in ``state``; the body that carries it is invisible to it.
 

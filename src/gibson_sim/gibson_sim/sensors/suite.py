@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError, GibsonSimError
-from gibson_sim.robots.noise import NoiseSource
 from gibson_sim.robots.sensor_specs import BumperSpec, Lidar3DSpec, LidarSpec
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.sensors.battery import Battery, BatteryReading
 from gibson_sim.sensors.bumper import BumperReading, measure_bumper
 from gibson_sim.sensors.imu import Imu, ImuReading
-from gibson_sim.sensors.lidar import LidarCloud, Scan, measure_cloud, measure_scan
+from gibson_sim.sensors.lidar import LidarCloud, Scan, measure_cloud, measure_scan, noise_of
 from gibson_sim.types import Contact, JointStates, SceneState, Vec3
 
 logger = logging.getLogger(__name__)
@@ -144,17 +143,12 @@ class SensorSuite:
         self._next = min(task.due for task in self._tasks)
         return Measurements(stamp_ns, **{kind: tuple(values) for kind, values in readings.items()})
 
-    def _noise(self, spec: LidarSpec | Lidar3DSpec) -> NoiseSource | None:
-        if not (spec.range_noise or spec.range_noise_ratio or spec.range_scale or spec.resolution or spec.dropout):
-            return None
-        return NoiseSource(f"{self._robot.name}/{spec.name}", self._seed, spec.seed)
-
     def _scan(self, spec: LidarSpec) -> _Read:
-        noise = self._noise(spec)
+        noise = noise_of(self._robot.name, spec, self._seed)
         return lambda world, step, stamp_ns: measure_scan(spec, world.state_of(self._robot.name), world.cast_rays, noise)
 
     def _cloud(self, spec: Lidar3DSpec) -> _Read:
-        noise = self._noise(spec)
+        noise = noise_of(self._robot.name, spec, self._seed)
         return lambda world, step, stamp_ns: measure_cloud(spec, world.state_of(self._robot.name), world.cast_rays, noise)
 
     def _bumper(self, spec: BumperSpec) -> _Read:

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.simulation.lockstep import CAMERAS, Expected, Lockstep, parse_participants
+from gibson_sim.standard.lockstep import CAMERAS, Expected, Lockstep, parse_participants
 
 
 def joined(*names: str) -> Lockstep:

@@ -8,7 +8,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gibson_sim.simulation.codes import Result, SimulationError
+from gibson_sim.standard.codes import Result, SimulationError
 from gibson_sim.types import Pose, Quat, Vec3
 
 FARTHEST = 1e4

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from gibson_sim.simulation.codes import Result, SimulationError
+from gibson_sim.standard.codes import Result, SimulationError
 from gibson_sim.types import Vec3
 
 MOST_POINTS = 256

@@ -13,15 +13,15 @@ from gibson_sim.errors import PhysicsError
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.scenes import spawnables, worlds
 from gibson_sim.scenes.worlds import World, WorldError, WorldFailure
-from gibson_sim.simulation import catalogue
-from gibson_sim.simulation.codes import LoadWorldCode, Result, SimulationError, StateCode, WorldCode, WorldsCode
-from gibson_sim.simulation.entities import Category, EntityInfo
-from gibson_sim.simulation.filters import TagsFilter
-from gibson_sim.simulation.population import SpawnRequest, StateChange
-from gibson_sim.simulation.requests import LastReset, LoadRequest
-from gibson_sim.simulation.simulator import STEPS_AT_ONCE, Simulator
-from gibson_sim.simulation.states import SimulationState
-from gibson_sim.simulation.stepping import StepRequest
+from gibson_sim.standard import catalogue
+from gibson_sim.standard.codes import LoadWorldCode, Result, SimulationError, StateCode, WorldCode, WorldsCode
+from gibson_sim.standard.entities import Category, EntityInfo
+from gibson_sim.standard.filters import TagsFilter
+from gibson_sim.standard.population import SpawnRequest, StateChange
+from gibson_sim.standard.requests import LastReset, LoadRequest
+from gibson_sim.standard.simulator import STEPS_AT_ONCE, Simulator
+from gibson_sim.standard.states import SimulationState
+from gibson_sim.standard.stepping import StepRequest
 from support.scenes import write_room
 from support.yard import BALL, SCENE
 

@@ -7,8 +7,8 @@ from gibson_sim.quoting import quoted
 from gibson_sim.scenes.sources import Search
 from gibson_sim.scenes.spawnables import Spawnable, find_spawnables, spawnables_below
 from gibson_sim.scenes.worlds import World, own_worlds, world_of, worlds_below
-from gibson_sim.simulation.codes import Result, SimulationError, WorldsCode, shortened
-from gibson_sim.simulation.filters import TagsFilter
+from gibson_sim.standard.codes import Result, SimulationError, WorldsCode, shortened
+from gibson_sim.standard.filters import TagsFilter
 
 
 def available_worlds(sources: tuple[str, ...], tags: TagsFilter, *, continue_on_error: bool) -> tuple[World, ...]:

@@ -14,8 +14,8 @@ from gibson_sim.errors import GibsonSimError
 from gibson_sim.scenes import sources
 from gibson_sim.scenes.sources import walk
 from gibson_sim.scenes.spawning import load_spawnable, spawn_name
-from gibson_sim.simulation import catalogue
-from gibson_sim.simulation.filters import TagsFilter
+from gibson_sim.standard import catalogue
+from gibson_sim.standard.filters import TagsFilter
 from gibson_sim.types import Pose
 
 STRANGE = (

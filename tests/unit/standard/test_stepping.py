@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from gibson_sim.simulation.codes import Result, SimulationError
-from gibson_sim.simulation.stepping import MOST_REQUESTS, StepQueue, StepRequest
+from gibson_sim.standard.codes import Result, SimulationError
+from gibson_sim.standard.stepping import MOST_REQUESTS, StepQueue, StepRequest
 
 
 def test_requests_are_served_in_the_order_of_asking() -> None:

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.config import PhysicsConfig
-from gibson_sim.simulation.codes import SimulationError
-from gibson_sim.simulation.population import SpawnRequest
-from gibson_sim.simulation.requests import LoadRequest
-from gibson_sim.simulation.simulator import Simulator
+from gibson_sim.standard.codes import SimulationError
+from gibson_sim.standard.population import SpawnRequest
+from gibson_sim.standard.requests import LoadRequest
+from gibson_sim.standard.simulator import Simulator
 
 SECRET = "hunter2"
 _GLB = struct.pack("<4sII", SECRET[:4].encode(), 2, 12)

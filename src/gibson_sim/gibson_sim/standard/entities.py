@@ -10,7 +10,7 @@ from enum import IntEnum
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.simulation.codes import Result, SimulationError, SpawnCode
+from gibson_sim.standard.codes import Result, SimulationError, SpawnCode
 
 LONGEST_NAME = 255
 LONGEST_NAMESPACE = 245

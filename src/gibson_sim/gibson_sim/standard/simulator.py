@@ -26,9 +26,9 @@ from gibson_sim.quoting import quoted
 from gibson_sim.scenes import worlds
 from gibson_sim.scenes.named_poses import NamedPose, named_poses
 from gibson_sim.scenes.spec import SceneSpec
-from gibson_sim.simulation.bounds import Bounds, box_bounds
-from gibson_sim.simulation.catalogue import description_of
-from gibson_sim.simulation.codes import (
+from gibson_sim.standard.bounds import Bounds, box_bounds
+from gibson_sim.standard.catalogue import description_of
+from gibson_sim.standard.codes import (
     LoadWorldCode,
     Result,
     SimulationError,
@@ -36,12 +36,12 @@ from gibson_sim.simulation.codes import (
     WorldCode,
     told,
 )
-from gibson_sim.simulation.filters import TagsFilter
-from gibson_sim.simulation.manipulation import grasp_settings, servo_settings
-from gibson_sim.simulation.population import Population
-from gibson_sim.simulation.requests import LastReset, LoadRequest, ResetScope, WorldInfo
-from gibson_sim.simulation.states import HAS_WORLD, SimulationState, check_transition
-from gibson_sim.simulation.stepping import StepQueue, StepRequest
+from gibson_sim.standard.filters import TagsFilter
+from gibson_sim.standard.manipulation import grasp_settings, servo_settings
+from gibson_sim.standard.population import Population
+from gibson_sim.standard.requests import LastReset, LoadRequest, ResetScope, WorldInfo
+from gibson_sim.standard.states import HAS_WORLD, SimulationState, check_transition
+from gibson_sim.standard.stepping import StepQueue, StepRequest
 
 logger = logging.getLogger(__name__)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gibson_sim.simulation.features import FEATURES, feature_table, supported_features
+from gibson_sim.standard.features import FEATURES, feature_table, supported_features
 
 
 def test_page_shows_the_table_that_the_service_answers_with(root: Path) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from gibson_sim.simulation.bounds import Bounds, BoundsType, Overlap, box_bounds
-from gibson_sim.simulation.codes import Result, SimulationError
+from gibson_sim.standard.bounds import Bounds, BoundsType, Overlap, box_bounds
+from gibson_sim.standard.codes import Result, SimulationError
 from gibson_sim.types import Vec3
 
 LOW, HIGH = (0.0, 0.0, 0.0), (2.0, 1.0, 1.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import IntEnum
 
-from gibson_sim.simulation.codes import SimulationError, StateCode
+from gibson_sim.standard.codes import SimulationError, StateCode
 
 
 class SimulationState(IntEnum):

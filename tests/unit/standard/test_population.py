@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gibson_sim.simulation.bounds import Bounds, BoundsType
-from gibson_sim.simulation.codes import EntityStateCode, Result, SimulationError, SpawnCode
-from gibson_sim.simulation.entities import Category, EntityInfo
-from gibson_sim.simulation.filters import EntityFilters, TagsFilter
-from gibson_sim.simulation.population import Population, SpawnRequest, StateChange
-from gibson_sim.simulation.simulator import Simulator
+from gibson_sim.standard.bounds import Bounds, BoundsType
+from gibson_sim.standard.codes import EntityStateCode, Result, SimulationError, SpawnCode
+from gibson_sim.standard.entities import Category, EntityInfo
+from gibson_sim.standard.filters import EntityFilters, TagsFilter
+from gibson_sim.standard.population import Population, SpawnRequest, StateChange
+from gibson_sim.standard.simulator import Simulator
 from gibson_sim.types import Quat, Vec3
 from support.yard import BALL
 

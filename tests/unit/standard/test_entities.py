@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from gibson_sim.simulation.codes import Result, SimulationError, SpawnCode, shortened
-from gibson_sim.simulation.entities import (
+from gibson_sim.standard.codes import Result, SimulationError, SpawnCode, shortened
+from gibson_sim.standard.entities import (
     Category,
     EntityInfo,
     check_info,

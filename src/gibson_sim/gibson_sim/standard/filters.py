@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 
 from numpy.typing import ArrayLike
 
-from gibson_sim.simulation.bounds import Bounds, BoundsType, Overlap
-from gibson_sim.simulation.codes import Result, SimulationError
-from gibson_sim.simulation.entities import Entity
-from gibson_sim.simulation.posix_regex import PatternError, PosixRegex
+from gibson_sim.standard.bounds import Bounds, BoundsType, Overlap
+from gibson_sim.standard.codes import Result, SimulationError
+from gibson_sim.standard.entities import Entity
+from gibson_sim.standard.posix_regex import PatternError, PosixRegex
 
 FILTER_MODE_ANY, FILTER_MODE_ALL = 0, 1
 

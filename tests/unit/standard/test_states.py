@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from gibson_sim.simulation.codes import SimulationError, StateCode
-from gibson_sim.simulation.states import SimulationState, check_transition
+from gibson_sim.standard.codes import SimulationError, StateCode
+from gibson_sim.standard.states import SimulationState, check_transition
 
 STOPPED, PLAYING, PAUSED, QUITTING, NO_WORLD, LOADING_WORLD = SimulationState
 OK = None

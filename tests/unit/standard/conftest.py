@@ -8,7 +8,7 @@ import pytest
 
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.scenes.spec import SceneSpec
-from gibson_sim.simulation.simulator import Simulator
+from gibson_sim.standard.simulator import Simulator
 from support.yard import SCENE
 
 

@@ -23,11 +23,11 @@ from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes import spawning
 from gibson_sim.scenes.placement import in_namespace
-from gibson_sim.simulation.bounds import Bounds, box_bounds
-from gibson_sim.simulation.codes import EntityStateCode, Result, SimulationError, SpawnCode, told
-from gibson_sim.simulation.entities import Entity, EntityInfo, check_info, check_namespace, choose_name, first_info
-from gibson_sim.simulation.filters import EntityFilters, filtered
-from gibson_sim.simulation.poses import WORLD_FRAMES, checked_pose, checked_velocity, vec3
+from gibson_sim.standard.bounds import Bounds, box_bounds
+from gibson_sim.standard.codes import EntityStateCode, Result, SimulationError, SpawnCode, told
+from gibson_sim.standard.entities import Entity, EntityInfo, check_info, check_namespace, choose_name, first_info
+from gibson_sim.standard.filters import EntityFilters, filtered
+from gibson_sim.standard.poses import WORLD_FRAMES, checked_pose, checked_velocity, vec3
 from gibson_sim.types import Pose, Quat, Vec3
 
 MOST_ENTITIES = 2000

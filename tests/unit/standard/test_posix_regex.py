@@ -8,7 +8,7 @@ import re
 
 import pytest
 
-from gibson_sim.simulation.posix_regex import MOST_STATES, PatternError, PosixRegex
+from gibson_sim.standard.posix_regex import MOST_STATES, PatternError, PosixRegex
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from gibson_sim.simulation.codes import Result, SimulationError
+from gibson_sim.standard.codes import Result, SimulationError
 
 MOST_REQUESTS = 64
 """That may wait at a time."""

@@ -1,0 +1,563 @@
+"""A whole simulation in one process, without ROS: a scene, its robots, physics, sensors and the renderer behind one class."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+
+from gibson_sim.config import PhysicsConfig
+from gibson_sim.errors import CommandError, ConfigError
+from gibson_sim.geometry.transforms import quat_from_rpy, yaw_from_quat
+from gibson_sim.physics.world import PhysicsWorld
+from gibson_sim.quoting import quoted
+from gibson_sim.robots.body import BodySpec
+from gibson_sim.robots.joint_commands import JointPositions
+from gibson_sim.robots.spec import RobotSpec
+from gibson_sim.scenes.floor_extent import extent_of_scene
+from gibson_sim.scenes.load import load_scene, with_robots
+from gibson_sim.scenes.load_views import read_views
+from gibson_sim.scenes.placement import place_robots, start_pose
+from gibson_sim.scenes.spawning import load_spawnable
+from gibson_sim.scenes.spec import DrawnScene, LightSpec, SceneSpec, drawn_scene
+from gibson_sim.scenes.view_links import Views
+from gibson_sim.sensors.battery import BatteryReading
+from gibson_sim.sensors.bumper import BumperReading
+from gibson_sim.sensors.imu import ImuReading
+from gibson_sim.sensors.lidar import Scan, measure_scan, noise_of
+from gibson_sim.sensors.suite import Measurements, SensorSuite
+from gibson_sim.settings import nearest
+from gibson_sim.types import CameraSpec, Contact, Frame, JointStates, Odometry, Output, Pose, SceneState, Vec3, VelocityCommand
+
+if TYPE_CHECKING:
+    from gibson_sim.render.renderer import Renderer
+    from gibson_sim.render.tensors import TensorFrame
+
+Reading = ImuReading | BumperReading | BatteryReading
+
+logger = logging.getLogger(__name__)
+
+
+class _Named(Protocol):
+    @property
+    def name(self) -> str: ...
+
+
+T = TypeVar("T", bound=_Named)
+_DEFAULTS = PhysicsConfig()
+_NEVER_S = 1e9
+"""Seconds of simulation time after which a command is stale, where none was given: more than any run lasts."""
+
+
+@dataclass(frozen=True)
+class SavedRun:
+    """A moment of a simulation: everything that was done since its beginning. ``Simulation.restore`` goes back to it."""
+
+    step: int
+    """Physics steps since the beginning."""
+    inputs: tuple[tuple[int, str, tuple[Any, ...]], ...]
+    """(step, method, arguments) of each call that changed what happens."""
+
+
+class Robot:
+    """One robot of a simulation: what is true of it now, in SI units, world frame unless told otherwise."""
+
+    def __init__(self, world: PhysicsWorld, name: str) -> None:
+        self._world, self.name = world, name
+
+    @property
+    def spec(self) -> RobotSpec:
+        """Its description: drive, sensors, cameras, size."""
+        return next(robot for robot in self._world.scene.robots if robot.name == self.name)
+
+    @property
+    def pose(self) -> Pose:
+        """T_world_base: position, metres, and quaternion (x, y, z, w)."""
+        return self._world.base_pose(self.name)
+
+    @property
+    def yaw(self) -> float:
+        """Heading about the world's z axis, radians, counter-clockwise from x."""
+        return yaw_from_quat(self.pose.quat_xyzw)
+
+    @property
+    def twist(self) -> tuple[Vec3, Vec3]:
+        """Linear (m/s) and angular (rad/s) velocity of the base, in the BASE frame."""
+        return self._world.base_twist(self.name)
+
+    @property
+    def odometry(self) -> Odometry:
+        """What its wheels say, in the odom frame; differs from ``pose`` where wheels slip or have errors."""
+        return self._world.odometry(self.name)
+
+    @property
+    def joints(self) -> JointStates:
+        """Its moving joints: radians or metres, and per second."""
+        return self._world.joint_states(self.name)
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """Where it touched anything in the last step, the floor under its wheels included."""
+        return self._world.contacts(self.name)
+
+    def __repr__(self) -> str:
+        x, y, _ = self.pose.position
+        return f"<Robot {self.name}: x {x:.3f} m, y {y:.3f} m, yaw {math.degrees(self.yaw):.1f} deg>"
+
+
+class Simulation:
+    """Scene, robots, physics, sensors and renderer in one process. Close it, or use it in a ``with`` statement.
+
+    Time passes in ``step`` alone; everything else is instantaneous. Equal arguments and equal calls give bit-equal states, sensor readings
+    and images. Not thread-safe; the renderer belongs to the thread that draws first.
+
+    Example:
+        >>> import gibson_sim as gs
+        >>> with gs.Simulation("flat", robot="gibson_bot", seed=0) as sim:
+        ...     sim.command(linear=0.3, angular=0.1)
+        ...     state = sim.step(seconds=1.0)
+        ...     frame = sim.render("camera", outputs=["rgb", "depth"])
+        >>> state.step, frame.rgb.shape, frame.stamp_ns == state.stamp_ns
+        (240, (480, 640, 3), True)
+    """
+
+    def __init__(
+        self,
+        scene: str | Path | SceneSpec = _DEFAULTS.scene,
+        robot: str | Path | RobotSpec | None = _DEFAULTS.robot,
+        *,
+        start: str = "",
+        seed: int = 0,
+        step_hz: int = _DEFAULTS.step_hz,
+        publish_hz: int | None = None,
+        cmd_vel_timeout: float | None = None,
+        views: str = "",
+        view_size: tuple[int, int] = (640, 480),
+        device: int | str | None = None,
+    ) -> None:
+        """Loads scene and robots; nothing is drawn, and no OpenGL loaded, before the first ``render``.
+
+        Args:
+            scene: name, folder, world or mesh file, as ``gibson-sim run --scene`` takes it; or a scene that was loaded, whose robots stay.
+            robot: name, file or spec; several as ``left=gibson_bot,right=gibson_bot``; None = no robot but the scene's own.
+            start: name of a start pose, or ``x,y,yaw_deg``; of several robots separated by ``;``. Empty = the scene's first.
+            seed: of the errors of all sensors and of odometry, 0 or more.
+            step_hz: physics steps in a second of simulation time.
+            publish_hz: rate of the ticks at which bumpers measure, Hz; must divide ``step_hz``. None = 60, or ``step_hz`` where 60 does not
+                divide it.
+            cmd_vel_timeout: seconds of simulation time after which a velocity command no longer counts, as on a real robot; None = it
+                counts until the next one.
+            views: chase cameras beside those of the robots, such as ``follow,top,orbit``, or a file of cameras.
+            view_size: width and height of views, pixels.
+            device: EGL device that draws, a number or a UUID as ``gibson-sim doctor`` lists them; None = a GPU if one works, else software.
+
+        Raises:
+            GibsonSimError: scene, robot or a setting cannot be used; the message says which value, what is allowed and what to do.
+        """
+        loaded = scene if isinstance(scene, SceneSpec) else load_scene(scene)
+        if isinstance(robot, RobotSpec):
+            loaded = with_robots(loaded, [replace(robot, start=start_pose(loaded, robot, start))])
+        elif robot is not None and str(robot):
+            loaded = place_robots(loaded, str(robot), start)
+        self._initial, self._seed, self._device = loaded, seed, device
+        self._tick_hz = publish_hz or (_DEFAULTS.publish_hz if step_hz % _DEFAULTS.publish_hz == 0 else step_hz)
+        self._wanted_views = read_views(views, view_size)
+        self._renderer: Renderer | None = None
+        self._loaded: DrawnScene | None = None
+        """What the renderer has."""
+        self._drawn: tuple[int, LightSpec, DrawnScene, Views] | None = None
+        self._light = loaded.light
+        self._suites: dict[str, SensorSuite] = {}
+        self._by_time: dict[str, Callable[[str], bool]] = {}
+        """Whether a robot's sensor of a name measures as time passes."""
+        self._readings: dict[tuple[str, str], Reading] = {}
+        self._inputs: list[tuple[int, str, tuple[Any, ...]]] = []
+        timeout = _NEVER_S if cmd_vel_timeout is None else cmd_vel_timeout
+        self.world = PhysicsWorld(loaded, step_hz=step_hz, cmd_vel_timeout=timeout, seed=seed)
+        """Physics itself, for all that is not here: grasping, rays, joint efforts, attachments."""
+        try:
+            self._add_suites()
+        except BaseException:
+            self.close()
+            raise
+
+    # What there is
+
+    @property
+    def scene(self) -> SceneSpec:
+        """What there is now: robots and bodies that came and went included."""
+        return self.world.scene
+
+    @property
+    def robots(self) -> Mapping[str, Robot]:
+        """The robots by name, in their order."""
+        return {robot.name: Robot(self.world, robot.name) for robot in self.world.scene.robots}
+
+    @property
+    def robot(self) -> Robot:
+        """The first robot, or the only one.
+
+        Raises:
+            CommandError: there is none.
+        """
+        return Robot(self.world, self._robot_name(None))
+
+    @property
+    def time(self) -> float:
+        """Simulation time since the beginning, seconds; ``state.stamp_ns`` has it in whole nanoseconds."""
+        return self.world.step_count / self.world.step_hz
+
+    @property
+    def state(self) -> SceneState:
+        """Poses and velocities of all links now; arrays of their own, read-only."""
+        return self.world.state()
+
+    @property
+    def cameras(self) -> tuple[CameraSpec, ...]:
+        """The cameras of all robots, then the views; their names are what ``render`` takes."""
+        return self._drawn_now()[0].cameras
+
+    # Time
+
+    def step(self, *, seconds: float | None = None, steps: int | None = None) -> SceneState:
+        """Lets simulation time pass, and returns the state at its end. Sensors measure when they are due, at each physics step.
+
+        Args:
+            seconds: how much; must be a whole number of physics steps (``1 / step_hz``), within a millionth of one.
+            steps: how many physics steps; give this or ``seconds``. Neither = one step.
+
+        Raises:
+            ConfigError: both are given, or it is no whole number of steps, 0 or more.
+        """
+        count = self._steps(seconds, steps)
+        world = self.world
+        for _ in range(count):
+            world.step(1)
+            for name, suite in self._suites.items():
+                measured = suite.measure(world, world.step_count, world.stamp_ns, self._by_time[name])
+                if measured:
+                    self._note(name, measured)
+        return world.state()
+
+    def _steps(self, seconds: float | None, steps: int | None) -> int:
+        if seconds is not None and steps is not None:
+            raise ConfigError(f"step takes seconds ({seconds:g}) or steps ({steps}), not both")
+        wanted = float(1 if steps is None else steps) if seconds is None else seconds * self.world.step_hz
+        if not (math.isfinite(wanted) and wanted >= 0 and abs(wanted - round(wanted)) < 1e-6):
+            given = f"{steps} steps" if seconds is None else f"{seconds:g} s, {wanted:g} steps of 1/{self.world.step_hz} s"
+            raise ConfigError(f"step by {given}: must be a finite whole number of steps, 0 or more")
+        return round(wanted)
+
+    def reset(self) -> SceneState:
+        """Begins anew at time 0: what was spawned, moved, removed or commanded is forgotten. What follows equals a new simulation to the bit."""
+        world = self.world
+        # All anew and in the same order: what the engine remembers would make the second run differ from the first.
+        for name in world.names:
+            world.remove(name)
+        for robot in self._initial.robots:
+            world.add_robot(robot)
+        for body in self._initial.bodies:
+            world.add_body(body)
+        world.set_step_count(0)
+        self._inputs.clear()
+        self._suites.clear()
+        self._readings.clear()
+        self._add_suites()
+        return world.state()
+
+    def save(self) -> SavedRun:
+        """Returns this moment, for ``restore``: what was done since the beginning, a few numbers for each call."""
+        return SavedRun(self.world.step_count, tuple(self._inputs))
+
+    def restore(self, saved: SavedRun) -> SceneState:
+        """Goes back, or forward, to a saved moment, exactly: contacts, what joints and motors remember, errors of sensors.
+
+        It begins anew and repeats what was done, which takes as long as those steps took; calls on ``world`` itself are not repeated.
+
+        Args:
+            saved: of this simulation, or of one with equal arguments.
+        """
+        self.reset()
+        for step, method, arguments in saved.inputs:
+            self.step(steps=step - self.world.step_count)
+            getattr(self, method)(*arguments)
+        return self.step(steps=saved.step - self.world.step_count)
+
+    # Doing something
+
+    def command(self, linear: float = 0.0, angular: float = 0.0, lateral: float = 0.0, robot: str | None = None) -> None:
+        """Drives a robot from the next step on, until the next command (or ``cmd_vel_timeout``), within the limits of its drive.
+
+        Args:
+            linear: m/s, forward.
+            angular: rad/s, counter-clockwise.
+            lateral: m/s, to the left; omnidirectional drives alone have it.
+            robot: its name; None = the first one.
+
+        Raises:
+            CommandError: a number is not finite, or the robot is not there or has no drive.
+        """
+        name = self._robot_name(robot)
+        velocity = VelocityCommand((linear, lateral, 0.0), (0.0, 0.0, angular), self.world.stamp_ns)
+        self.world.command(name, velocity)
+        self._inputs.append((self.world.step_count, "command", (linear, angular, lateral, name)))
+
+    def command_joints(self, positions: Mapping[str, float], robot: str | None = None) -> None:
+        """Moves joints of a robot, or of a body such as a door, to positions, as fast as their limits allow.
+
+        Args:
+            positions: joint name -> radians or metres.
+            robot: name of the robot or the body; None = the first robot.
+
+        Raises:
+            CommandError: there is no such robot, body or joint, or it cannot move there.
+        """
+        name = robot if robot is not None else self._robot_name(None)
+        self.world.command_joints(name, JointPositions(tuple(positions.values()), tuple(positions)))
+        self._inputs.append((self.world.step_count, "command_joints", (dict(positions), name)))
+
+    def spawn(self, uri: str | Path, name: str, position: Vec3 = (0.0, 0.0, 0.0), yaw: float = 0.0) -> None:
+        """Puts a thing or a robot into the scene.
+
+        Args:
+            uri: name of one of our objects or robots (``gibson-sim scene objects`` lists them), or a URDF, SDF, robot.yaml or mesh file.
+            name: what it is called from now on.
+            position: of its root link, metres, world frame.
+            yaw: about the world's z axis, radians.
+
+        Raises:
+            SceneError: it cannot be read; the message names the file and what is wrong.
+            PhysicsError: the name is taken, or a robot would stand inside of something.
+        """
+        self._place(load_spawnable(str(uri), "", name=name, pose=_upright(position, yaw)))
+        self._inputs.append((self.world.step_count, "spawn", (uri, name, position, yaw)))
+
+    def move(self, name: str, position: Vec3, yaw: float = 0.0) -> None:
+        """Puts a robot or a body somewhere else, upright and at rest.
+
+        Args:
+            name: which.
+            position: of its root link, metres, world frame.
+            yaw: about the world's z axis, radians.
+
+        Raises:
+            PhysicsError: there is none of this name.
+        """
+        self.world.set_state(name, _upright(position, yaw), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        self._inputs.append((self.world.step_count, "move", (name, position, yaw)))
+
+    def remove(self, name: str) -> None:
+        """Takes a robot or a body out of the scene.
+
+        Raises:
+            PhysicsError: there is none of this name.
+        """
+        self.world.remove(name)
+        self._suites.pop(name, None)
+        self._inputs.append((self.world.step_count, "remove", (name,)))
+
+    # What sensors measure
+
+    def scan(self, lidar: str = "", robot: str | None = None) -> Scan:
+        """Returns what a planar lidar measures now, with its errors; ROS drivers publish the same at the lidar's rate.
+
+        Args:
+            lidar: its name; empty = the robot's first.
+            robot: its name; None = the first one.
+
+        Raises:
+            ConfigError: the robot has no such lidar.
+        """
+        spec = self._one_of(self.robots[self._robot_name(robot)].spec.sensors.lidars, lidar, "lidar")
+        name = self._robot_name(robot)
+        return measure_scan(spec, self.world.state_of(name), self.world.cast_rays, noise_of(name, spec, self._seed))
+
+    def reading(self, sensor: str, robot: str | None = None) -> Reading:
+        """Returns the last reading of an IMU, a bumper or the battery.
+
+        Args:
+            sensor: its name, such as ``imu``.
+            robot: its name; None = the first one.
+
+        Raises:
+            ConfigError: there is no such sensor, or it was not due yet: let time pass first.
+        """
+        name = self._robot_name(robot)
+        found = self._readings.get((name, sensor))
+        if found is None:
+            known = [task for task in self._suites[name].misses]
+            if sensor in known:
+                raise ConfigError(f"sensor {quoted(sensor)} of robot {quoted(name)} has not measured yet: step first")
+            raise ConfigError(f"robot {quoted(name)} has no sensor {quoted(sensor)}; it has: {', '.join(known) or 'none'}")
+        return found
+
+    # What cameras see
+
+    @property
+    def light(self) -> LightSpec:
+        """How the scene is lit; set it to ``dataclasses.replace(sim.light, sun=0.2, ...)`` for another light."""
+        return self._light
+
+    @light.setter
+    def light(self, light: LightSpec) -> None:
+        self._light = light
+
+    @property
+    def renderer(self) -> Renderer:
+        """The renderer, with the scene as it is now; opened when first asked for.
+
+        Raises:
+            RenderError: nothing here can draw, or another thread has drawn before.
+        """
+        return self._renderer_of(self._drawn_now()[0])
+
+    def render(
+        self, camera: str | CameraSpec = "", outputs: Sequence[Output] | None = None, previous: SceneState | None = None
+    ) -> Frame:
+        """Returns what a camera sees now, drawn from the present state and nothing else.
+
+        Args:
+            camera: name of a camera or a view, or a camera of your own; empty = the first one.
+            outputs: what to draw (``gibson_sim.OUTPUTS``): rgb, depth, semantic, instance, normal, normal_world, position, flow; None = as
+                the camera's file says.
+            previous: an earlier state, for optical flow and motion blur.
+
+        Returns:
+            The frame: arrays by output, row 0 at the top, depth in metres along the optical axis; ``stamp_ns`` is that of the state.
+
+        Raises:
+            ConfigError: there is no such camera or output.
+            RenderError: nothing here can draw.
+        """
+        return self.render_all([camera], outputs, previous)[0]
+
+    def render_all(
+        self,
+        cameras: Sequence[str | CameraSpec] = (),
+        outputs: Sequence[Output] | None = None,
+        previous: SceneState | None = None,
+    ) -> list[Frame]:
+        """Returns a frame of each camera, drawn side by side, which is quicker than one by one. No cameras = all. See ``render``."""
+        renderer, state, wanted, before = self._picture(cameras, outputs, previous)
+        return renderer.render(state, wanted, before)
+
+    def render_tensors(
+        self,
+        cameras: Sequence[str | CameraSpec] = (),
+        outputs: Sequence[Output] | None = None,
+        previous: SceneState | None = None,
+    ) -> list[TensorFrame]:
+        """Returns the frames as PyTorch tensors: on the GPU that drew them where CUDA has it, else on the CPU. See ``render_all``.
+
+        Raises:
+            ConfigError: PyTorch is not installed, or there is no such camera.
+        """
+        renderer, state, wanted, before = self._picture(cameras, outputs, previous)
+        return renderer.render_tensors(state, wanted, before)
+
+    def close(self) -> None:
+        """Frees engine and renderer; a second call does nothing."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+        self.world.close()
+
+    def __enter__(self) -> Simulation:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    # Inside
+
+    def _robot_name(self, name: str | None) -> str:
+        names = [robot.name for robot in self.world.scene.robots]
+        if name is None and names:
+            return names[0]
+        if name is None or name not in names:
+            what = "no robot" if name is None else f"no robot {quoted(name)}"
+            raise CommandError(f"{what} in this simulation; there are: {', '.join(names) or 'none'}")
+        return name
+
+    def _add_suites(self) -> None:
+        for robot in self.world.scene.robots:
+            if robot.name not in self._suites:
+                suite = SensorSuite(robot, self.world.step_hz, self._tick_hz, self.world.scene.gravity, self._seed)
+                suite.reset(self.world.step_count)
+                self._suites[robot.name] = suite
+                sensors = robot.sensors
+                lidars = frozenset((*(planar.name for planar in sensors.lidars), *(other.name for other in sensors.lidars_3d)))
+                self._by_time[robot.name] = _all_but(lidars)  # these are cast when ``scan`` is called
+
+    def _place(self, spec: BodySpec | RobotSpec) -> None:
+        if isinstance(spec, RobotSpec):
+            self.world.add_robot(spec)
+            self._add_suites()
+        else:
+            self.world.add_body(spec)
+
+    def _note(self, robot: str, measured: Measurements) -> None:
+        readings: list[Reading] = [*measured.imus, *measured.bumpers, *measured.batteries]
+        for reading in readings:
+            self._readings[robot, reading.name] = reading
+
+    def _drawn_now(self) -> tuple[DrawnScene, Views]:
+        """Returns the scene with its views as it is to be drawn now; made anew only where something changed."""
+        world = self.world
+        if self._drawn is None or self._drawn[0] != world.scene.revision or self._drawn[1] is not self._light:
+            robot = next((robot.name for robot in world.scene.robots), "")
+            lit = replace(drawn_scene(world.scene, world.links), light=self._light)
+            views = Views(self._wanted_views, lit, robot, lambda: extent_of_scene(world.scene))
+            if views.absent:
+                raise ConfigError(next(iter(views.absent.values())))
+            self._drawn = world.scene.revision, self._light, views.scene, views
+        return self._drawn[2], self._drawn[3]
+
+    def _renderer_of(self, drawn: DrawnScene) -> Renderer:
+        from gibson_sim.render.cache import default_folder  # OpenGL with it
+        from gibson_sim.render.renderer import Renderer
+
+        if self._renderer is not None and self._loaded is drawn:
+            return self._renderer
+        if self._renderer is None:
+            self._renderer = Renderer(drawn, device=self._device, cache=default_folder())
+        else:
+            self._renderer.update(drawn)
+        self._loaded = drawn
+        for warning in self._renderer.warnings:
+            logger.warning("%s", warning)
+        return self._renderer
+
+    def _picture(
+        self, cameras: Sequence[str | CameraSpec], outputs: Sequence[Output] | None, previous: SceneState | None
+    ) -> tuple[Renderer, SceneState, list[CameraSpec], SceneState | None]:
+        drawn, views = self._drawn_now()
+        wanted = [self._one_of(drawn.cameras, c, "camera") if isinstance(c, str) else c for c in cameras] or list(drawn.cameras)
+        if outputs is not None:
+            wanted = [replace(camera, outputs=tuple(outputs)) for camera in wanted]
+        before = None if previous is None else views.extended(previous)
+        return self._renderer_of(drawn), views.extended(self.world.state()), wanted, before
+
+    @staticmethod
+    def _one_of(known: Sequence[T], name: str, what: str) -> T:
+        """Returns the one of a name, or the first where the name is empty."""
+        for one in known:
+            if name in ("", one.name):
+                return one
+        names = [one.name for one in known]
+        hint = nearest(name, names)
+        raise ConfigError(
+            f"there is no {what} {quoted(name)}; there are: {', '.join(names) or 'none'}{f'; {hint}' if hint else ''}"
+        )
+
+
+def _upright(position: Vec3, yaw: float) -> Pose:
+    return Pose((float(position[0]), float(position[1]), float(position[2])), quat_from_rpy(0.0, 0.0, yaw))
+
+
+def _all_but(names: frozenset[str]) -> Callable[[str], bool]:
+    return lambda name: name not in names

@@ -1,0 +1,136 @@
+"""The simulation in one process, without pictures: it is what its parts are when they are put together by hand, to the bit."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gibson_sim as gs
+from gibson_sim.scenes.placement import populate
+from gibson_sim.sensors.suite import SensorSuite
+
+
+def _equal(one: gs.SceneState, other: gs.SceneState) -> bool:
+    arrays = ("positions", "quats_xyzw", "twists")
+    return one.stamp_ns == other.stamp_ns and all(np.array_equal(getattr(one, a), getattr(other, a)) for a in arrays)
+
+
+def _drive(sim: gs.Simulation) -> gs.SceneState:
+    sim.command(linear=0.3, angular=0.4)
+    sim.step(seconds=0.5)
+    sim.spawn("ball", "ball", (1.9, 4.9, 0.3))
+    sim.step(seconds=0.5)
+    sim.command(linear=0.4)
+    sim.move("ball", (2.2, 5.0, 0.2), yaw=1.0)
+    return sim.step(seconds=1.0)
+
+
+def test_it_is_its_parts_put_together_by_hand() -> None:
+    scene = populate("flat", "gibson_bot_real")
+    with gs.Simulation("flat", "gibson_bot_real", seed=3) as sim, gs.PhysicsWorld(scene, seed=3, cmd_vel_timeout=60.0) as world:
+        suite = SensorSuite(scene.robots[0], 240, 60, scene.gravity, 3)
+        sim.command(linear=0.3, angular=0.2)
+        world.command("robot", gs.VelocityCommand((0.3, 0.0, 0.0), (0.0, 0.0, 0.2), 0))
+        state = sim.step(seconds=1.0)
+        measured = []
+        for _ in range(240):
+            world.step(1)
+            measured.append(suite.measure(world, world.step_count, world.stamp_ns))
+        assert (state.step, sim.time) == (240, 1.0)
+        assert _equal(state, world.state())
+        assert sim.robot.pose == world.base_pose("robot")
+        assert sim.robot.odometry == world.odometry("robot")
+        # The lidar of the file is due at 1 s, so what its driver would publish then is what it measures when asked.
+        (scan,) = measured[-1].scans
+        assert sim.scan().stamp_ns == scan.stamp_ns == 1_000_000_000
+        assert np.array_equal(sim.scan().ranges, scan.ranges)
+        imu, wanted = sim.reading("imu"), measured[-1].imus[-1]
+        assert all(np.array_equal(getattr(imu, f.name), getattr(wanted, f.name)) for f in fields(wanted))
+
+
+def test_a_reset_simulation_equals_a_new_one_and_a_restored_one_goes_on_as_it_did() -> None:
+    with gs.Simulation("flat") as sim, gs.Simulation("flat") as other:
+        first = _drive(sim)
+        saved = sim.save()
+        later = sim.step(seconds=0.5)
+        sim.remove("ball")
+        sim.reset()
+        assert (sim.time, sim.world.names) == (0.0, ("robot",))
+        assert _equal(_drive(sim), first)
+        assert _equal(sim.restore(saved), first)
+        assert _equal(sim.step(seconds=0.5), later)
+        assert _equal(other.restore(pickle.loads(pickle.dumps(saved))), first)
+        assert _equal(other.step(seconds=0.5), later)
+
+
+def test_a_command_counts_until_the_next_one_unless_it_times_out() -> None:
+    with gs.Simulation("arena") as sim, gs.Simulation("arena", cmd_vel_timeout=0.5) as other:
+        for each in (sim, other):
+            each.command(linear=0.3)
+            each.step(seconds=3.0)
+        assert sim.robot.twist[0][0] == pytest.approx(0.3, abs=0.01)
+        assert other.robot.twist[0][0] == pytest.approx(0.0, abs=0.01)
+
+
+def test_several_robots_are_commanded_by_name() -> None:
+    with gs.Simulation("flat", "left=gibson_bot,right=gibson_bot", start="1.0,4.7,0;6.4,3.3,90") as sim:
+        sim.command(linear=0.3, robot="right")
+        sim.step(seconds=1.0)
+        assert list(sim.robots) == ["left", "right"]
+        assert sim.robot.pose.position[0] == pytest.approx(1.0, abs=1e-3)
+        assert sim.robots["right"].pose.position[1] > 3.4
+        assert sim.robots["right"].yaw == pytest.approx(np.pi / 2, abs=0.01)
+        assert sim.scan(robot="right").link == "right/base_scan"
+
+
+def test_a_scene_that_was_loaded_and_a_robot_that_was_loaded_can_be_given() -> None:
+    with gs.Simulation(gs.load_scene("flat"), gs.load_robot("omni_bot"), start="living") as sim:
+        assert sim.robot.spec.name == "robot"
+        assert sim.scene.starts[1].name == "living"
+        assert sim.robot.pose.position[:2] == pytest.approx(sim.scene.starts[1].pose.position[:2], abs=1e-6)
+    with gs.Simulation("flat", None) as empty:
+        assert list(empty.robots) == []
+        with pytest.raises(gs.CommandError, match="no robot in this simulation; there are: none"):
+            empty.command(linear=0.1)
+
+
+@pytest.mark.parametrize(
+    ("call", "error"),
+    [
+        (lambda sim: sim.step(seconds=0.001), r"step by 0.001 s, 0.24 steps of 1/240 s: must be a finite whole number"),
+        (lambda sim: sim.step(seconds=-1.0), "must be a finite whole number of steps, 0 or more"),
+        (lambda sim: sim.step(seconds=float("nan")), "must be a finite whole number of steps"),
+        (lambda sim: sim.step(seconds=1.0, steps=2), "step takes seconds .* or steps .*, not both"),
+        (lambda sim: sim.command(linear=float("inf")), "holds a NaN or an infinity"),
+        (lambda sim: sim.command(linear=0.1, robot="bob"), "no robot 'bob' in this simulation; there are: robot"),
+        (lambda sim: sim.command_joints({"elbow": 1.0}), "'elbow'"),
+        (lambda sim: sim.scan("radar"), "there is no lidar 'radar'; there are: scan"),
+        (lambda sim: sim.reading("imux"), "has no sensor 'imux'; it has: scan, bumper, imu, battery_state"),
+        (lambda sim: sim.reading("imu"), "sensor 'imu' of robot 'robot' has not measured yet: step first"),
+        (lambda sim: sim.spawn("botle", "b"), "neither a file nor the name of something of ours"),
+        (lambda sim: sim.spawn("ball", "robot"), "the name 'robot' is taken"),
+        (lambda sim: sim.move("ghost", (0.0, 0.0, 0.0)), "nothing in this world is called 'ghost'"),
+        (lambda sim: sim.remove("ghost"), "nothing in this world is called 'ghost'"),
+    ],
+)
+def test_what_is_impossible_is_said_in_one_line_and_changes_nothing(call: object, error: str) -> None:
+    with gs.Simulation("flat") as sim:
+        before = sim.save()
+        with pytest.raises(gs.GibsonSimError, match=error) as found:
+            call(sim)  # type: ignore[operator]
+        assert "\n" not in str(found.value)
+        assert sim.save() == before
+
+
+def test_after_its_end_it_says_so(tmp_path: Path) -> None:
+    sim = gs.Simulation("flat")
+    sim.close()
+    sim.close()
+    with pytest.raises(gs.PhysicsError, match="closed"):
+        sim.step()
+    with pytest.raises(gs.SceneNotFoundError, match="did you mean 'linden_flat'"):
+        gs.Simulation("lindenflat")

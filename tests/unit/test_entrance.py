@@ -1,0 +1,50 @@
+"""The Python entrance: what ``import gibson_sim`` offers, and what it does not load."""
+
+from __future__ import annotations
+
+import inspect
+import pydoc
+import subprocess
+import sys
+
+import pytest
+
+import gibson_sim as gs
+
+
+@pytest.mark.parametrize("name", gs.__all__)
+def test_every_public_name_is_there_and_explained(name: str) -> None:
+    value = getattr(gs, name)
+    assert name in dir(gs)
+    if inspect.isclass(value) or inspect.isroutine(value):
+        assert inspect.getdoc(value), f"{name} has no docstring"
+    if inspect.isclass(value):
+        members = [
+            m
+            for m in vars(value)
+            if not m.startswith("_") and (callable(getattr(value, m)) or isinstance(vars(value)[m], property))
+        ]
+        undocumented = [m for m in members if not inspect.getdoc(getattr(value, m))]
+        assert undocumented == [], f"{name}: {undocumented}"
+
+
+def test_names_of_the_types_are_those_that_are_loaded() -> None:
+    assert sorted(gs._HOME_OF) == sorted(gs.__all__)
+    with pytest.raises(AttributeError, match="has no attribute 'Simulaton'"):
+        getattr(gs, "Simulaton")  # noqa: B009
+
+
+def test_help_begins_with_a_page_that_shows_the_way() -> None:
+    text = pydoc.plain(pydoc.render_doc(gs))
+    assert text.index("with gs.Simulation(") < text.index("PACKAGE CONTENTS")
+
+
+def test_a_scene_is_loaded_and_named_without_physics_or_pictures() -> None:
+    command = """import sys, gibson_sim as gs
+assert 'linden_flat' in gs.list_scenes() and 'gibson_bot' in gs.list_robots()
+gs.load_scene('flat'), gs.load_robot('gibson_bot'), gs.Pose(), gs.SceneState.still()
+print([m for m in ('pybullet', 'moderngl', 'rclpy', 'torch') if m in sys.modules])
+gs.Simulation('flat').close()
+print([m for m in ('moderngl', 'rclpy', 'torch') if m in sys.modules])"""
+    done = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines() == ["[]", "[]"]
