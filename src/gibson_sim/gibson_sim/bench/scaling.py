@@ -34,6 +34,7 @@ from gibson_sim.scenes.maps.poses import random_free_poses
 from gibson_sim.scenes.mesh import scene_roots
 from gibson_sim.scenes.placement import populate
 from gibson_sim.scenes.spec import SceneSpec, drawn_scene
+from gibson_sim.simulation import Simulation
 from gibson_sim.tasks.episode import Item, item_body
 from gibson_sim.tasks.ground import ground_of
 from gibson_sim.types import CameraSpec, VelocityCommand
@@ -209,16 +210,13 @@ def _with_robots(count: int) -> SceneSpec:
 
 def _environment(stack: ExitStack) -> Callable[[], Any]:
     """Returns a step of an environment: a flat with a robot and its camera."""
-    scene = populate("flat", ROBOT, "")
-    world = stack.enter_context(PhysicsWorld(scene, step_hz=STEP_HZ, cmd_vel_timeout=1e6))
-    drawn = drawn_scene(world.scene, world.links)
-    renderer = stack.enter_context(Renderer(drawn, cache=default_folder()))
-    camera = replace(drawn.cameras[0], width=SIZE, height=SIZE, outputs=("rgb", "depth"))
-    world.command(scene.robots[0].name, VelocityCommand((0.1, 0.0, 0.0), (0.0, 0.0, 0.8), world.stamp_ns))
+    sim = stack.enter_context(Simulation("flat", ROBOT, step_hz=STEP_HZ))
+    camera = replace(sim.cameras[0], width=SIZE, height=SIZE, outputs=("rgb", "depth"))
+    sim.command(linear=0.1, angular=0.8)
 
     def work() -> Any:
-        world.step(4)
-        return renderer.render(world.state(), [camera])
+        sim.world.step(4)
+        return sim.render(camera)
 
     return work
 

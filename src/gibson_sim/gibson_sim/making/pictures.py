@@ -12,11 +12,8 @@ from numpy.typing import NDArray
 
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pose_from_xyz_rpy, quat_from_matrix
 from gibson_sim.making.building import Building, Room, Start
-from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.picture_files import write_picture
-from gibson_sim.render.renderer import Renderer
-from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.spec import drawn_scene
+from gibson_sim.simulation import Simulation
 from gibson_sim.types import CameraSpec, Pose, Vec3
 
 Rgb = NDArray[np.uint8]
@@ -37,12 +34,8 @@ def eye(position: Vec3, yaw: float, pitch: float = _TILT) -> CameraSpec:
 
 def views(folder: Path, cameras: Sequence[CameraSpec]) -> list[Rgb]:
     """Returns pictures of a scene with its bodies where they start, (480, 640, 3) uint8 sRGB."""
-    scene = load_scene(folder)
-    with PhysicsWorld(scene) as world:
-        state = world.state()
-        drawn = drawn_scene(scene, state.links)
-    with Renderer(drawn) as renderer:
-        return [frame.rgb for frame in renderer.render(state, cameras) if frame.rgb is not None]
+    with Simulation(folder, None) as sim:
+        return [frame.rgb for frame in sim.render_all(cameras) if frame.rgb is not None]
 
 
 def write_thumbnail(folder: Path, building: Building) -> None:

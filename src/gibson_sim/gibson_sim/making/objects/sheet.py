@@ -13,16 +13,14 @@ from numpy.typing import NDArray
 
 from gibson_sim.geometry.transforms import pose_from_matrix
 from gibson_sim.making.objects.model import ObjectModel
-from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.render.renderer import Renderer
 from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.spec import Shape, VisualSpec
 from gibson_sim.scenes.spawning import load_spawnable
-from gibson_sim.scenes.spec import LightSpec, PointLight, SceneSpec, drawn_scene
-from gibson_sim.types import CameraSpec, Pose, SceneState
+from gibson_sim.scenes.spec import LightSpec, PointLight, SceneSpec
+from gibson_sim.simulation import Simulation
+from gibson_sim.types import CameraSpec, Pose
 
 Rgb = NDArray[np.uint8]
-_EYE = "eye/eye"
 _FOV = math.radians(26.0)
 _ELEVATION, _AZIMUTH = math.radians(24.0), math.radians(32.0)
 _FLOOR = (0.74, 0.74, 0.73, 1.0)
@@ -62,16 +60,10 @@ def picture(folder: Path, model: ObjectModel, tile: int) -> Rgb:
     sun = (-0.5, -0.62, -1.0) if model.built_in else _LIGHT.sun_direction
     light = replace(_LIGHT, points=(lamp,), sun_direction=sun)
     scene = SceneSpec(model.name, folder, "", (floor,), (), bodies=(replace(body, static=True, joints=joints),), light=light)
-    with PhysicsWorld(scene) as world:
-        state = world.state()
-        low, high = world.bounds("thing")
-    links = (*state.links, _EYE)
-    eye = _eye((low + high) / 2, float(np.linalg.norm(high - low)), -1.0 if model.built_in else 1.0)
-    positions, quats = np.vstack([state.positions, [eye.position]]), np.vstack([state.quats_xyzw, [eye.quat_xyzw]])
-    seen = SceneState(0, 0, scene.revision, links, positions, quats, np.zeros((len(links), 6)))
-    camera = CameraSpec("sheet", _EYE, Pose(), 2 * tile, 2 * tile, _FOV, near=0.02, outputs=("rgb",), samples=4)
-    with Renderer(drawn_scene(scene, links)) as renderer:
-        frame = renderer.render(seen, [camera])[0]
+    with Simulation(scene, None) as sim:
+        low, high = sim.world.bounds("thing")
+        eye = _eye((low + high) / 2, float(np.linalg.norm(high - low)), -1.0 if model.built_in else 1.0)
+        frame = sim.render(CameraSpec("sheet", "", eye, 2 * tile, 2 * tile, _FOV, near=0.02, outputs=("rgb",), samples=4))
     assert frame.rgb is not None
     return np.asarray(cv2.resize(frame.rgb, (tile, tile), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 

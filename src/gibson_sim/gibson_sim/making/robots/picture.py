@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.transforms import quat_from_matrix
-from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.render.renderer import Renderer
 from gibson_sim.robots.spec import RobotSpec, Shape, VisualSpec
-from gibson_sim.scenes.spec import LightSpec, SceneSpec, drawn_scene
+from gibson_sim.scenes.spec import LightSpec, SceneSpec
+from gibson_sim.simulation import Simulation
 from gibson_sim.types import CameraSpec, Pose
 
 Rgb = NDArray[np.uint8]
@@ -44,13 +43,10 @@ def robot_picture(robot: RobotSpec, pose: str = "", *, width: int = 640, height:
     light = LightSpec(sun_direction=(-0.45, 0.35, -1.0), sun=0.75, ambient=0.42, background=(0.86, 0.87, 0.88), shadows=True)
     root = robot.urdf.parent
     scene = SceneSpec("robot", root, "", (floor,), (), ground_z=0.0, light=light, robots=(replace(robot, start=Pose()),))
-    with PhysicsWorld(scene) as world:
-        world.step(_SETTLING)
-        state = world.state()
-        drawn = drawn_scene(scene, state.links)
-        low, high = world.bounds(robot.name)
-    with Renderer(drawn) as renderer:
-        (frame,) = renderer.render(state, [_camera(low, high, width, height, math.radians(yaw_deg))])
+    with Simulation(scene, None) as sim:
+        sim.step(steps=_SETTLING)
+        low, high = sim.world.bounds(robot.name)
+        frame = sim.render(_camera(low, high, width, height, math.radians(yaw_deg)))
     assert frame.rgb is not None
     return frame.rgb
 
