@@ -1,4 +1,4 @@
-"""``gibson-sim params``: every setting of every node, as text or as the README's table."""
+"""``gibson-sim params``: every setting of every node, as text or as the tables of docs/parameters.md."""
 
 from __future__ import annotations
 
