@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 import gibson_sim as gs
 from gibson_sim.robots.path_tracking import PathFollower
-from gibson_sim.scenes.placement import robot_floor_map
+from gibson_sim.scenes.placement import furnished_floor_map
 from gibson_sim.scenes.tour import plan_tour
 
 WIDTH, HEIGHT, RATE_HZ = 320, 240, 8
@@ -35,7 +35,7 @@ def main() -> None:
         small = gs.CameraSpec(
             "small", camera.link, camera.pose, WIDTH, HEIGHT, camera.fov_y, outputs=("rgb", "depth", "semantic"), samples=4
         )
-        floor = robot_floor_map(sim.scene, sim.robot.spec)
+        floor = furnished_floor_map(sim.scene, sim.robot.spec)
         x, y, _ = sim.robot.pose.position
         follower = PathFollower(plan_tour(floor, (x, y), sim.robot.spec.radius, 12.0))
         for _ in range(SECONDS * RATE_HZ):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -105,3 +106,11 @@ def test_a_message_package_that_is_missing_is_named(answers: Answers) -> None:
     found = {f.what: f for f in doctor._ros()}
     assert {what: f.status for what, f in found.items() if f.status != "ok"} == {"control_msgs": "warn", "tf2_msgs": "FAIL"}
     assert found["control_msgs"].remedy.startswith("run `make setup`, or build the workspace")
+
+
+def test_interfaces_whose_packets_reach_the_loopback_are_named(tmp_path: Path) -> None:
+    for name, value in (("all", "0"), ("default", "1"), ("eth0", "0"), ("cni0", "1"), ("lo", "1")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "route_localnet").write_text(f"{value}\n")
+    assert doctor._routed_localnet(tmp_path) == "cni0"
+    assert doctor._routed_localnet(tmp_path / "nothing") == ""

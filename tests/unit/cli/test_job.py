@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -11,6 +12,8 @@ import pytest
 from gibson_sim.cli import job as job_module, run
 from gibson_sim.cli.job import Job, JobRun
 from gibson_sim.standard.job_folder import LOADED
+
+MEASURED = {"scene": "flat", "wall_time_s": 1.0, "real_time_factor": 1.0, "commands": 0, "refused_commands": 0}
 
 
 class Played:
@@ -95,6 +98,36 @@ def test_recording_starts_once_the_scene_is_taken(tmp_path: Path, monkeypatch: p
 def test_time_ends_before_the_recorder_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert _run(tmp_path, monkeypatch, "--drive", "square", drive=0) == 0
     assert Played.stopped == ("physics", "record", "render")
+
+
+@pytest.mark.parametrize(("simulated", "code"), [(0.0, 130), (1.5, 0)])
+def test_ctrl_c_before_time_begins_is_an_interruption_and_leaves_no_empty_bag(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, simulated: float, code: int
+) -> None:
+    class Asked:
+        count = 0
+
+        def close(self) -> None:
+            pass
+
+    asked = Asked()
+
+    def stop(node: Played, **_: Any) -> int:
+        if node.name == "physics":
+            (tmp_path / "physics.json").write_text(json.dumps({**MEASURED, "simulation_time_s": simulated}))
+        if node.name == "record":
+            (tmp_path / "bag").mkdir()
+            (tmp_path / "record.json").write_text(json.dumps({"messages": {"clock": round(simulated)}, "lost": {}, "error": ""}))
+        return 0
+
+    def poll(node: Played) -> None:
+        asked.count += node.name == "record"
+
+    monkeypatch.setattr(job_module, "StopRequest", lambda: asked)
+    monkeypatch.setattr(Played, "stop", stop)
+    monkeypatch.setattr(Played, "poll", poll)
+    assert _run(tmp_path, monkeypatch) == code
+    assert (tmp_path / "bag").exists() == bool(simulated)
 
 
 def test_full_disk_is_refused_before_anything_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,8 +13,10 @@ from gibson_sim.errors import ConfigError
 from gibson_sim.geometry.transforms import matrix_from_pose
 from gibson_sim.robots.load import load_robot
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.placement import populate, robot_floor_map, start_pose
+from gibson_sim.scenes.maps.bodies import body_triangles
+from gibson_sim.scenes.placement import furnished_floor_map, populate, robot_floor_map, start_pose
 from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.scenes.tour import plan_tour
 from support.scenes import write_room
 
 
@@ -78,3 +80,18 @@ def test_floor_map_of_a_robot_is_as_high_as_the_robot(tmp_path: Path) -> None:
     above = load_scene(write_room(tmp_path / "b", bar.format(robot.height + 0.05)))
     assert robot_floor_map(below, robot).clearance((0.0, 0.0)) == 0.0
     assert robot_floor_map(above, robot).clearance((0.0, 0.0)) > 1.0
+
+
+@pytest.mark.parametrize("name", ["linden_flat", "mill_house", "corner_shop"])
+def test_a_tour_keeps_clear_of_doors_and_chairs_where_they_stand(name: str) -> None:
+    scene, robot = load_scene(name), load_robot("gibson_bot")
+    bare, furnished = robot_floor_map(scene, robot), furnished_floor_map(scene, robot)
+    assert (furnished.free & ~bare.free).sum() == 0
+    assert bare.free.sum() > furnished.free.sum()
+    x, y, _ = scene.starts[0].pose.position
+    path = plan_tour(furnished, (x, y), robot.radius, 15.0)
+    vertices, triangles = body_triangles(scene)
+    low = vertices[triangles][(vertices[triangles][..., 2].min(axis=1) < scene.floor_z + robot.height)]
+    corners = low[..., :2].reshape(-1, 2)
+    nearest = min(float(np.linalg.norm(corners - point, axis=1).min()) for point in path)
+    assert nearest > robot.radius - 0.05, f"a corner of something is {nearest:.2f} m from the middle of the way"

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -20,7 +21,7 @@ from typing import Any, Literal
 from gibson_sim import __version__
 from gibson_sim.cli.environment import domain_of, in_wheels, node_environment
 from gibson_sim.errors import AlreadyRunningError, GibsonSimError
-from gibson_sim.reach import PROFILE_VARIABLE, SUBNET, describe_reach, profile_of, reach_of
+from gibson_sim.reach import PROFILE_VARIABLE, SUBNET, describe_reach, is_local, profile_of, reach_of
 from gibson_sim.resources import known_scenes
 from gibson_sim.standard.domain_lock import DomainLock
 
@@ -197,7 +198,13 @@ def _dds() -> Iterator[Finding]:
     except GibsonSimError as error:
         yield Finding("reach", "FAIL", str(error))
         return
-    yield Finding("reach", "ok", describe_reach(environment).removeprefix("reach: "))
+    said = describe_reach(environment).removeprefix("reach: ")
+    if is_local(environment) and (routed := _routed_localnet()):
+        yield Finding(
+            "reach", "warn", f"{said}; but packets from {routed} reach 127.0.0.1", "sysctl net.ipv4.conf.all.route_localnet=0"
+        )
+    else:
+        yield Finding("reach", "ok", said)
     profile = environment[PROFILE_VARIABLE]
     if reach_of(os.environ) or profile == str(profile_of(SUBNET)):
         yield Finding("DDS profile", "ok", profile)
@@ -211,6 +218,16 @@ def _dds() -> Iterator[Finding]:
         text,
         "" if ok else "is a firewall or a foreign DDS profile in the way? unset the variables of ROS and Fast DDS, and try again",
     )
+
+
+def _routed_localnet(folder: Path = Path("/proc/sys/net/ipv4/conf")) -> str:
+    """Returns the network interfaces whose packets the kernel hands to 127.0.0.1 (``route_localnet``), joined by commas."""
+    found = []
+    for setting in sorted(folder.glob("*/route_localnet")):
+        with suppress(OSError):
+            if setting.read_text().strip() == "1" and setting.parent.name not in ("default", "lo"):
+                found.append(setting.parent.name)
+    return ", ".join(found)
 
 
 def _free_mb(path: Path) -> float:

@@ -96,11 +96,11 @@ def domain_of(environment: Mapping[str, str]) -> int:
     """Returns the ROS domain.
 
     Raises:
-        EnvironmentProblemError: ROS_DOMAIN_ID is not a number from 0 to 232.
+        EnvironmentProblemError: ROS_DOMAIN_ID is not a number from 0 to 231; the 232nd has too few ports.
     """
     text = environment.get("ROS_DOMAIN_ID", "") or "0"
-    if not text.isdigit() or int(text) > 232:
-        raise EnvironmentProblemError(f"ROS_DOMAIN_ID is {text!r}, must be a whole number from 0 to 232")
+    if not text.isdigit() or int(text) > 231:
+        raise EnvironmentProblemError(f"ROS_DOMAIN_ID is {text!r}, must be a whole number from 0 to 231")
     return int(text)
 
 

@@ -117,6 +117,8 @@ class JobRun:
             stop.close()
         if self._accepted:
             self._report()
+        if stop.count and not self.found.get("physics", {}).get("simulation_time_s") and not self._code:
+            self._code = ExitCode.INTERRUPTED  # time had not begun
         return int(self._code)
 
     def _start(self, name: str) -> None:
@@ -187,7 +189,8 @@ class JobRun:
         self._attempt(lambda: write_json(self._job.summary, {**found, "render_restarts": self._restarts.total}))
         if self._job.video and found["record"].get("messages"):
             self._attempt(self._write_pictures)
-        if self._job.bag and not self._job.keep_bag:
+        empty = "record" in self._job.configs and not any(found["record"].get("messages", {}).values())
+        if self._job.bag and (empty or not self._job.keep_bag):
             shutil.rmtree(self._job.bag, ignore_errors=True)
 
     def _attempt(self, write: Callable[[], None]) -> None:

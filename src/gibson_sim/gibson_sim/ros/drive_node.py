@@ -26,7 +26,7 @@ from gibson_sim.ros.matching import wait_until_received
 from gibson_sim.ros.node_main import run_node, spin_while, started_by_launcher
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.placement import robot_floor_map
+from gibson_sim.scenes.placement import furnished_floor_map
 from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.scenes.tour import plan_tour
 
@@ -65,7 +65,7 @@ class DriveNode(Node):
             for module in (load_scene.__module__, load.__name__):
                 logging.getLogger(module).setLevel(logging.ERROR)  # the physics node said it all
             robot = load_robot(config.robot)
-            self._map, self._radius = robot_floor_map(load_scene(config.scene), robot), robot.radius
+            self._map, self._radius = furnished_floor_map(load_scene(config.scene), robot), robot.radius
         else:
             length = config.length or FORWARD_LENGTH
             self._drive = _ScriptDrive(scripted_drive(config.drive, linear=config.linear, angular=config.angular, length=length))

@@ -12,7 +12,8 @@ from rclpy.publisher import Publisher
 
 from gibson_sim.ros.node_main import goes_on
 
-_START_LIMIT_S = 120.0
+_START_LIMIT_S, _SAY_S = 120.0, 10.0
+"""Wall time after which a run starts without what is missing, and after which it says what it waits for."""
 _END_LIMIT_S = 1.0
 """Wall time that the last messages may take to their subscribers, s: one that was killed never confirms."""
 
@@ -25,7 +26,7 @@ def reaches_all(node: Node, publisher: Publisher) -> bool:
 def wait_for_others(
     node: Node, executor: Executor, subscribers: Mapping[str, int], others: Mapping[str, Callable[[], bool]]
 ) -> None:
-    """Works until all that a run needs is there, or warns after two minutes and returns.
+    """Works until all that a run needs is there; says after ten seconds what is missing, and after two minutes returns without it.
 
     Args:
         node: who waits.
@@ -33,7 +34,8 @@ def wait_for_others(
         subscribers: topic -> how many subscribers it must have; where the node publishes it, they must receive it.
         others: what else is awaited -> whether it is there.
     """
-    deadline = time.monotonic() + _START_LIMIT_S
+    began = time.monotonic()
+    said = False
     own = {publisher.topic_name: publisher for publisher in node.publishers}
     while goes_on():
         missing = [
@@ -42,7 +44,11 @@ def wait_for_others(
         missing += [what for what, is_there in others.items() if not is_there()]
         if not missing:
             return
-        if time.monotonic() > deadline:
+        waited = time.monotonic() - began
+        if waited > _SAY_S and not said:
+            said = True
+            node.get_logger().info(f"time waits for {', '.join(missing)}")
+        if waited > _START_LIMIT_S:
             node.get_logger().warning(f"still missing after {_START_LIMIT_S:.0f} s, starting without: {', '.join(missing)}")
             return
         executor.spin_once(timeout_sec=0.05)

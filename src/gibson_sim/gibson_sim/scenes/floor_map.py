@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -72,6 +73,18 @@ class FloorMap:
                 f"floor map: occupied is {self.occupied.shape} and floor {self.floor.shape}; must be one (H, W) with cells"
             )
         object.__setattr__(self, "distance_to_obstacle", _distance_to_blocked(~self.free, self.resolution))
+
+    def furnished(self, vertices: F64, triangles: NDArray[np.integer[Any]], robot_height: float) -> FloorMap:
+        """Returns the map with things on its floor: cells that a robot ``robot_height`` metres high cannot be in for them are occupied.
+
+        Args:
+            vertices: (V, 3), world frame, metres.
+            triangles: (F, 3), rows of ``vertices``.
+            robot_height: metres above the floor.
+        """
+        parts = clip_to_slab(vertices[triangles], self.floor_z + FLOOR_CLEARANCE, self.floor_z + robot_height)
+        covered = Grid(self.resolution, self.origin, self.occupied.shape).cover(parts)
+        return replace(self, occupied=self.occupied | covered)
 
     @property
     def free(self) -> Bools:

@@ -14,6 +14,7 @@ from gibson_sim.quoting import quoted
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.floor_map import FloorMap, scene_floor_map
 from gibson_sim.scenes.load import load_scene, with_robots
+from gibson_sim.scenes.maps.bodies import body_triangles
 from gibson_sim.scenes.robot_files import load_robot
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.scenes.tour import choose_start
@@ -125,6 +126,11 @@ def start_pose(scene: SceneSpec, robot: RobotSpec, start: str) -> Pose:
 def robot_floor_map(scene: SceneSpec, robot: RobotSpec) -> FloorMap:
     """Returns where on the scene's floor ``robot`` would touch nothing static."""
     return scene_floor_map(scene, robot_height=robot.height)
+
+
+def furnished_floor_map(scene: SceneSpec, robot: RobotSpec) -> FloorMap:
+    """Returns where on the scene's floor ``robot`` would touch nothing, neither what is static nor bodies where they stand at load."""
+    return robot_floor_map(scene, robot).furnished(*body_triangles(scene), robot.height)
 
 
 def _three_numbers(text: str) -> tuple[float, float, float] | None:

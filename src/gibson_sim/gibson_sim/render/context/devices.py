@@ -11,6 +11,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from gibson_sim.errors import GraphicsUnavailableError
@@ -231,13 +232,15 @@ def _open_best(egl: Egl, handles: list[int]) -> GlContext:
         raise GraphicsUnavailableError(f"cannot draw: no EGL device works ({'; '.join(problems)}): {REMEDY}")
     fallback.make_current()
     reason = f" ({'; '.join(problems)})" if problems else ""
-    _log.warning(
-        "no GPU can draw here%s: drawing in software, on EGL device %d, %s",
-        reason,
-        fallback.device.index,
-        fallback.device.renderer,
+    _warn_once(
+        f"no GPU can draw here{reason}: drawing in software, on EGL device {fallback.device.index}, {fallback.device.renderer}"
     )
     return fallback
+
+
+@cache
+def _warn_once(text: str) -> None:
+    _log.warning("%s", text)
 
 
 def _run_probe(library: str, start: int) -> tuple[list[dict[str, Any]], str]:
