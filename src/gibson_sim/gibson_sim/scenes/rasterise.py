@@ -116,9 +116,14 @@ def rasterise(polygons: F64, shape: tuple[int, int]) -> Bools:
 
 def _cell_range(low: F64, high: F64, size: int) -> tuple[I64, I64]:
     """Returns the first and last cell of closed intervals; an interval on the border of two cells belongs to the upper one."""
-    first = np.floor(low + ROUNDING).astype(np.int64)
-    last = np.maximum(np.ceil(high - ROUNDING).astype(np.int64) - 1, first)
-    return np.clip(first, 0, size - 1), np.clip(last, 0, size - 1)
+    first = np.floor(low + ROUNDING)
+    last = np.maximum(np.ceil(high - ROUNDING) - 1, first)
+    return _clipped(first, size), _clipped(last, size)
+
+
+def _clipped(cells: F64, size: int) -> I64:
+    """Returns numbers of cells, those beyond a border at it; what is not finite, at the first."""
+    return np.clip(np.nan_to_num(cells, nan=0.0, posinf=0.0, neginf=0.0), 0, size - 1).astype(np.int64)
 
 
 def _extent_in_band(polygons: F64, rows: F64) -> tuple[F64, F64]:
