@@ -13,6 +13,8 @@ I64 = NDArray[np.int64]
 
 ROUNDING = 1e-6
 """Cells: what is nearer than this to a border lies on it."""
+_FAR = 1e9
+"""Cells: what is farther off counts as there."""
 _PAIRS_AT_ONCE = 200_000
 
 
@@ -100,6 +102,7 @@ def rasterise(polygons: F64, shape: tuple[int, int]) -> Bools:
     grid = np.zeros((shape[0], shape[1] + 1), dtype=np.int32)
     if not len(polygons):
         return np.zeros(shape, dtype=bool)
+    polygons = np.clip(np.nan_to_num(polygons), -_FAR, _FAR)
     first, last = _cell_range(polygons[:, :, 1].min(axis=1), polygons[:, :, 1].max(axis=1), shape[0])
     counts = np.maximum(last - first + 1, 0)
     ends = np.cumsum(counts)
