@@ -118,7 +118,7 @@ def test_own_body_is_invisible_unless_asked_for() -> None:
     assert measure(SIXTEEN, shell, wall, see_own_body=True).ranges[7, 0] == pytest.approx(0.4, abs=0.01)
 
 
-# Drawn, and not bumped into: rays of the physics engine go through.
+# Drawn, and without a collision shape: rays of the physics engine go through.
 NO_COLLISION = ("ceiling", "floor", "painting", "rug", "skirting")
 
 

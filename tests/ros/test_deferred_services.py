@@ -15,7 +15,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from simulation_interfaces.srv import StepSimulation  # noqa: E402
 
-from gibson_sim.ros.deferred import DeferredService, Later  # noqa: E402
+from gibson_sim.ros.deferred import DeferredResponse, DeferredService  # noqa: E402
 from gibson_sim.ros.executor import make_executor  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -29,7 +29,7 @@ def test_answers_come_when_they_are_there_in_any_order(ros_context: Any, kind: L
         response.result.error_message = str(request.steps)
         if request.steps == 0:
             return response
-        later = Later()
+        later = DeferredResponse()
         waiting[request.steps] = lambda: later.answer(response)
         return later
 

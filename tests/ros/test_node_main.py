@@ -15,7 +15,7 @@ require("rclpy", "gibson_msgs")
 from rclpy.node import Node  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
-from gibson_sim.ros.node_main import goes_on, run_node  # noqa: E402
+from gibson_sim.ros.node_main import is_running, run_node  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros_domain")]
 
@@ -29,10 +29,10 @@ class Talker(Node):
         self._publisher = self.create_publisher(String, "talk", 1)
 
     def spin(self) -> int:
-        before = goes_on()
+        before = is_running()
         os.kill(os.getpid(), self.number)
         self._publisher.publish(String(data="late"))
-        return 0 if before and not goes_on() else 5
+        return 0 if before and not is_running() else 5
 
     def close(self) -> None:
         pass

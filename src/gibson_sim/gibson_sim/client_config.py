@@ -114,7 +114,7 @@ class RenderBagConfig:
         "Cameras to draw: a YAML file with a section `cameras` as in robot.yaml, their links `<body>/<link>`, or views; empty = the bag's own",
     )
     views: str = setting("", VIEWS + "; they come beside the other cameras", names="views")
-    view_size: str = setting("640x480", "Width and height of views of which no file says more", unit="px")
+    view_size: str = setting("640x480", "Default width and height of views", unit="px")
     view_rate: float = setting(30.0, "Images a second of such views", unit="Hz", minimum=0.001, maximum=1000.0)
     outputs: str = setting(
         "", f"What every camera draws, separated by commas: {', '.join(OUTPUTS)}; empty = as the cameras have it"

@@ -100,7 +100,7 @@ class PhysicsConfig:
         "", f"What every camera draws, separated by commas: {', '.join(OUTPUTS)}; empty = as the robot's file says"
     )
     views: str = setting("", VIEWS + "; on topics `view_follow/image_raw` and so on", names="views")
-    view_size: str = setting("640x480", "Width and height of views of which no file says more", unit="px")
+    view_size: str = setting("640x480", "Default width and height of views", unit="px")
     view_rate: float = setting(30.0, "Images a second of such views", unit="Hz", minimum=0.001, maximum=1000.0)
     grasp_mode: str = setting(
         "assisted",
@@ -156,7 +156,7 @@ class PhysicsConfig:
     )
     participants: str = setting(
         "",
-        "Participants of lockstep without whom time does not begin, separated by `;`: names of those who say themselves what they have "
+        "Nodes that must join lockstep before time starts, separated by `;`: names of those who say themselves what they have "
         "done, as `render`; or rules for others, as `follow=cmd_vel after odom` or `nav=cmd_vel every 0.05`",
         names="participants",
     )

@@ -53,7 +53,7 @@ def test_a_folder_in_gibsons_layout_imports_with_one_command(tmp_path: Path, cap
     assert scene.warnings == ()
 
 
-def test_the_coarse_mesh_of_gibson_is_what_is_bumped_into(tmp_path: Path) -> None:
+def test_the_coarse_mesh_of_gibson_is_its_collision_mesh(tmp_path: Path) -> None:
     write_gibson_folder(tmp_path / "Tiny")
     scene = import_scene(tmp_path / "Tiny", tmp_path / "out").scene
     assert len(collision_triangles(scene)[1]) == 12
@@ -289,9 +289,7 @@ def _bumpy_room(cells: int) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def test_a_scan_is_bumped_into_in_its_simple_form_and_so_is_its_mended_copy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_scan_collides_in_its_simple_form_and_so_is_its_mended_copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     write_obj(tmp_path / "scan.obj", *_bumpy_room(101))
     imported = import_scene(tmp_path / "scan.obj", tmp_path / "out")

@@ -127,7 +127,7 @@ def test_what_stands_has_its_origin_in_the_middle_of_its_underside(name: str, fo
     vertices = np.concatenate([loader.shape(v.shape).merged()[0] for v in model.links[0].visuals])
     assert vertices[:, 2].min() == pytest.approx(0.0, abs=5e-4)
     lowest = min(_lowest(solid) for solid in OBJECTS[name].links[0].solids)
-    assert lowest == pytest.approx(0.0, abs=1.5e-3), "what is drawn stands on what is bumped into"
+    assert lowest == pytest.approx(0.0, abs=1.5e-3), "what is drawn stands on what collides"
 
 
 def _lowest(solid: Solid) -> float:

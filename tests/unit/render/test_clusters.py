@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from gibson_sim.render import clusters as module
 from gibson_sim.render.batches import Batches
-from gibson_sim.render.choosing import Detail
 from gibson_sim.render.clusters import COARSEST, REDUCTION, SMALLEST, Clusters, build_clusters, split
+from gibson_sim.render.lod_selection import Detail
 from gibson_sim.render.visibility import Visibility
 from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart
 from support.surfaces import batches_of, bumpy_grid, bumpy_sphere, drawn_positions, in_two, open_edges, textured

@@ -8,14 +8,14 @@ require("rclpy")
 
 import pytest  # noqa: E402
 
-from gibson_sim.ros.deferred import Later  # noqa: E402
+from gibson_sim.ros.deferred import DeferredResponse  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
 
 def test_answer_is_sent_once_whichever_comes_first() -> None:
     for answer_first in (True, False):
-        later, sent = Later(), []
+        later, sent = DeferredResponse(), []
         if answer_first:
             later.answer("yes")
             later.send_with(sent.append)

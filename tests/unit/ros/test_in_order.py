@@ -13,7 +13,7 @@ from support.simulation import require
 
 require("rclpy")
 
-from gibson_sim.ros.deferred import Later  # noqa: E402
+from gibson_sim.ros.deferred import DeferredResponse  # noqa: E402
 from gibson_sim.ros.in_order import InOrder  # noqa: E402
 
 PATIENCE_S = 60.0
@@ -40,11 +40,11 @@ class Loop:
             return name
 
         outcome = self.in_order.take(act, read)
-        if isinstance(outcome, Later):
+        if isinstance(outcome, DeferredResponse):
             outcome.send_with(self.answers.append)
         else:
             self.answers.append(outcome)
-        return not isinstance(outcome, Later)
+        return not isinstance(outcome, DeferredResponse)
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_reading_that_fails_leaves_the_answer_to_whoever_acts(loop: Loop) -> Non
 
 
 def test_answer_that_comes_later_is_passed_on(loop: Loop) -> None:
-    own = Later()
+    own = DeferredResponse()
     outcome = loop.in_order.take(lambda _: own, lambda: None)
     outcome.send_with(loop.answers.append)
     loop.turn()

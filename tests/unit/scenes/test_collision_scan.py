@@ -1,4 +1,4 @@
-"""What robots bump into of a scan: true planes for its floors, few triangles for the rest, close to the scan; and the cache of it."""
+"""The collision mesh of a scan: true planes for its floors, few triangles for the rest, close to the scan; and the cache of it."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_second_start_takes_what_the_first_one_made(
     first = scan_shapes(*scan, "room", folder=tmp_path)
     assert scan_shapes(*scan, "room", folder=tmp_path) == first
     assert len(made) == 1
-    assert f"room is bumped into as {len(simple.triangles)} triangles for {simple.before}" in caplog.text
+    assert f"room collides as {len(simple.triangles)} triangles for {simple.before}" in caplog.text
     scan_shapes(scan[0] + 0.001, scan[1], "room", folder=tmp_path)
     assert len(made) == 2
 

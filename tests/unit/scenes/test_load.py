@@ -45,7 +45,7 @@ def test_scene_yaml_goes_before_everything_else(tmp_path: Path) -> None:
     assert load_scene(write_room(tmp_path)).name == "tiny_room"
 
 
-def test_bare_mesh_is_drawn_and_bumped_into(tmp_path: Path) -> None:
+def test_bare_mesh_is_drawn_and_collides(tmp_path: Path) -> None:
     scene = load_scene(write_triangle_glb(tmp_path / "scan.glb"))
     assert [v.name for v in scene.visuals] == ["scan"]
     assert [c.name for c in scene.collisions] == ["scan"]

@@ -160,7 +160,7 @@ def test_shape_relative_to_another_link(tmp_path: Path) -> None:
     assert got.visuals[0].pose.position == pytest.approx((-1.0, 0.0, 5.0))
 
 
-def test_model_without_collisions_is_bumped_into_as_it_is_drawn(tmp_path: Path) -> None:
+def test_model_without_collisions_collides_as_it_is_drawn(tmp_path: Path) -> None:
     (link,) = _read(tmp_path, f'<link name="a"><visual name="v">{BOX}</visual></link>').model.links
     assert [c.shape for c in link.collisions] == [v.shape for v in link.visuals]
 

@@ -105,7 +105,7 @@ def test_ground_plane_of_gazebo_needs_no_file(tmp_path: Path) -> None:
     assert scene.warnings == ()
 
 
-def test_drawn_model_without_collision_is_bumped_into_as_it_is_drawn(tmp_path: Path) -> None:
+def test_drawn_model_without_collision_collides_as_it_is_drawn(tmp_path: Path) -> None:
     scene = _load(tmp_path, f'<model name="m"><link name="l"><visual name="v">{BOX}</visual></link></model>')
     assert [c.shape for c in scene.collisions] == [scene.visuals[0].shape]
 

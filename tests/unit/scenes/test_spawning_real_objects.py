@@ -92,7 +92,7 @@ def test_carpet_without_its_texture_names_it(data_dir: Path) -> None:
     assert caught.value.code is SpawnFailure.MISSING_ASSETS
 
 
-def test_furniture_without_collisions_is_bumped_into_as_it_is_drawn(data_dir: Path) -> None:
+def test_furniture_without_collisions_collides_as_it_is_drawn(data_dir: Path) -> None:
     body = _body(data_dir / "drake_living_room" / "models" / "sofa.sdf")
     (link,) = body.model.links
     assert [c.shape for c in link.collisions] == [v.shape for v in link.visuals]

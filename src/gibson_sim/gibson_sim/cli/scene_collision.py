@@ -1,4 +1,4 @@
-"""``gibson-sim scene collision``: geometry to bump into for a mesh, as files: convex parts of an object, or what stands for a scan."""
+"""``gibson-sim scene collision``: collision geometry for a mesh, as files: convex parts of an object, or what stands for a scan."""
 
 from __future__ import annotations
 

@@ -91,7 +91,7 @@ class SceneFacts:
             ("size", " x ".join(f"{s:.2f}" for s in self.size) + " m"),
             ("from, to", f"({', '.join(f'{c:.2f}' for c in self.low)}) to ({', '.join(f'{c:.2f}' for c in self.high)})"),
             ("objects", f"{self.objects}, and {self.bodies} that move" if self.bodies else f"{self.objects}"),
-            ("triangles", f"{self.triangles:,} to draw, {self.collision_triangles:,} to bump into"),
+            ("triangles", f"{self.triangles:,} to draw, {self.collision_triangles:,} in collision shapes"),
             ("materials", f"{self.materials}" + (", with colours of vertices" if self.vertex_colors else "")),
             ("textures", f"{len(self.textures)}, {memory:.0f} MB in memory"),
             *(("", f"{t.width} x {t.height}  {Path(t.name).name}") for t in self.textures[:_MOST_LISTED]),

@@ -178,7 +178,7 @@ def compose(color: F32, light: F32) -> F32:
 
 
 def _write_objects(mesh: dict[str, NDArray[Any]], assets: Path) -> list[dict[str, Any]]:
-    """Writes the mesh of each object, and what is bumped into; returns the entries of scene.yaml."""
+    """Writes the mesh of each object, and the collision shapes; returns the entries of scene.yaml."""
     objects = []
     for number, name in enumerate(mesh["names"].tolist()):
         chosen = np.flatnonzero(mesh["owner"] == number)

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import PhysicsError
-from gibson_sim.physics.awake import AwakeCount, parts_of
 from gibson_sim.physics.engine import pybullet as p, quiet
 from gibson_sim.physics.engine_files import EngineFiles
 from gibson_sim.physics.engine_types import BulletBody, EngineContact, JointReading
 from gibson_sim.physics.frames import cross, product, turn
+from gibson_sim.physics.islands import AwakeCount, parts_of
 from gibson_sim.physics.mesh_pieces import mesh_pieces
 from gibson_sim.physics.sleeping import Sleepers
 from gibson_sim.quoting import quoted

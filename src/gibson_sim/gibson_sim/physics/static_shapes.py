@@ -36,7 +36,7 @@ def add_static_shapes(bullet: Bullet, scene: SceneSpec) -> list[str]:
 
 
 def _static_shape(bullet: Bullet, loader: MeshLoader, shape: Shape, name: str, warnings: list[str]) -> Sequence[int]:
-    """Returns the engine's numbers of a shape; none, with a warning, for a mesh that cannot be bumped into."""
+    """Returns the engine's numbers of a shape; none, with a warning, for a mesh without collision geometry."""
     if shape.kind == "box":
         return bullet.box_shape(shape.size)
     if shape.kind == "sphere":

@@ -1,4 +1,4 @@
-"""Draws images of cameras of any kind into targets: plain pinholes as they are, bent ones from views, smooth edges from samples."""
+"""Draws images of cameras of any kind into targets: plain pinholes as they are, non-pinhole ones from views, smooth edges from samples."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Drawing:
         plain = [_picture(shot, pose) for shot, pose in zip(shots, before, strict=True) if _is_plain(shot.camera)]
         color = any("rgb" in shot.camera.outputs for shot in shots)
         samples = max((shot.camera.samples for shot in shots), default=1)
-        bent = [(shot, pose) for shot, pose in zip(shots, before, strict=True) if not _is_plain(shot.camera)]
+        non_pinhole = [(shot, pose) for shot, pose in zip(shots, before, strict=True) if not _is_plain(shot.camera)]
         if color and samples > 1 and plain:
             # Labels and depth are those of the pixel's middle, to the bit, whatever is done for the edges of colours.
             self._scene.draw(target, plain, color=False)
@@ -69,11 +69,11 @@ class Drawing:
             self._resolve(smooth, target)
         else:
             self._scene.draw(target, plain, color=color)
-        if bent:
-            self._draw_bent(target, bent, color)
+        if non_pinhole:
+            self._draw_non_pinhole(target, non_pinhole, color)
 
-    def _draw_bent(self, target: Target, shots: Sequence[tuple[Shot, Mat4]], color: bool) -> None:
-        """Draws the views of bent cameras side by side, all at once if they fit, and puts the images together from them."""
+    def _draw_non_pinhole(self, target: Target, shots: Sequence[tuple[Shot, Mat4]], color: bool) -> None:
+        """Draws the views of non-pinhole cameras side by side, all at once if they fit, and puts the images together from them."""
         views = [views_of(shot.camera) for shot, _ in shots]
         sizes = [(view.width, view.height) for group in views for view in group]
         arranged = arrange(sizes, self._largest)
@@ -85,7 +85,7 @@ class Drawing:
                     f"fit into the {self._largest} pixels a side that can be drawn here; choose a smaller one"
                 )
             for one in shots:
-                self._draw_bent(target, [one], color)
+                self._draw_non_pinhole(target, [one], color)
             return
         numbers, tiles = arranged[0]
         place = dict(zip(numbers, tiles.places, strict=True))

@@ -43,7 +43,7 @@ class Exposing:
         averaged = any(exposure.weight < 1.0 for exposure in plan)
         if averaged:
             self._effects.begin(camera.width, camera.height)
-        # A camera whose image is bent is drawn as a whole each time: a table of where its pixels look for each band would take longer.
+        # A non-pinhole camera is drawn as a whole each time: a table of where its pixels look for each band would take longer.
         cut = is_plain(camera)
         height = max(e.rows.stop - e.rows.start for e in plan) if cut else camera.height
         for exposure in plan:

@@ -12,8 +12,8 @@ from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.render import gl as GL
 from gibson_sim.render.batches import Batches
 from gibson_sim.render.context import GlContext
-from gibson_sim.render.dressing import Dressing
 from gibson_sim.render.lighting import Lighting
+from gibson_sim.render.material_maps import Dressing
 from gibson_sim.render.occluders import Occluders
 from gibson_sim.render.planning import KINDS, VIEW, Picture, Plan, Planner, Run, draw_table
 from gibson_sim.render.programs import Programs

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.render.hiding import MARGIN, SQUARE
+from gibson_sim.render.occlusion_culling import MARGIN, SQUARE
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.render.batches import Batches
-from gibson_sim.render.hiding import PieceTable
+from gibson_sim.render.occlusion_culling import PieceTable
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]

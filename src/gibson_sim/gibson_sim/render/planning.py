@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from gibson_sim.geometry.compiling import CAN_COMPILE, fixed
 from gibson_sim.geometry.projections import clip_from_optical, frustum_planes
 from gibson_sim.geometry.transforms import Mat4
-from gibson_sim.render import choosing, hiding
+from gibson_sim.render import lod_selection, occlusion_culling
 from gibson_sim.render.batches import Batches
-from gibson_sim.render.choosing import Detail, Rules
+from gibson_sim.render.lod_selection import Detail, Rules
 from gibson_sim.render.occlusion import DepthPyramid, Outlines, pixels_from_links
 from gibson_sim.render.pieces import Pieces
 from gibson_sim.render.solids import Insides
@@ -218,7 +218,7 @@ class Planner:
                 picture, T_camera_links, chunks, fronts=not self._insides.may_hold(eyes, T_camera_links, near_corners)
             )
         v = self._visibility
-        found = choosing.planned(
+        found = lod_selection.planned(
             eyes, T_camera_links, planes, near_corners, detail, v.groups, v.chunks, v.link_box, self._insides.solids, self._rules, _NEAR_PART
         )  # fmt: skip
         return Plan(picture, T_camera_links, *found)
@@ -236,7 +236,7 @@ class Planner:
         return Plan(picture, T_camera_links, drawn, self._table[drawn], batch[drawn], solid, near, total, fronts)
 
     def _order(self, chunks: I64, batch: I64) -> tuple[I64, int, I64, int]:
-        """The same as ``choosing.drawing_order``, of chunks and the batch of each."""
+        """The same as ``lod_selection.drawing_order``, of chunks and the batch of each."""
         # The order of batches is that of their first chunk, but what has holes comes after what has none.
         rank = np.zeros(len(self._rules.cut), dtype=np.int64)
         rank[batch[::-1]] = np.arange(len(chunks) - 1, -1, -1)  # of several numbers the last one stays: that of the first chunk
@@ -252,7 +252,7 @@ class Planner:
     def by_kind(self, chunks: I64, table: U32) -> tuple[U32, list[int]]:
         """Returns the draws of chunks, (N,), by rows of ``table``, (C, 5), those of a kind together; and how many each of ``KINDS`` has."""
         if self._loops:
-            draws, count = choosing.by_kind(chunks, fixed(table), self._rules.batch_of, self._kinds, len(KINDS))
+            draws, count = lod_selection.by_kind(chunks, fixed(table), self._rules.batch_of, self._kinds, len(KINDS))
             return draws, count.tolist()
         chunks = chunks[table[chunks, 0] > 0]
         kind = self._kinds[self._rules.batch_of[chunks]]
@@ -305,7 +305,7 @@ class CompiledLook:
     def unhidden(self, depth: F32) -> Plan:
         """As ``Look`` says."""
         plan, p = self._plan, self._plan.picture
-        chunks, batch, draws, solid = hiding.without_hidden(
+        chunks, batch, draws, solid = occlusion_culling.without_hidden(
             fixed(depth), plan.chunks, plan.batch, plan.draws, plan.solid, self._pieces.table, self._chunk_link,
             plan.T_camera_links, fixed(p.intrinsics), float(p.near),
         )  # fmt: skip

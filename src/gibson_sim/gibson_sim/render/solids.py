@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.compiling import CAN_COMPILE, fixed
-from gibson_sim.render import choosing
+from gibson_sim.render import lod_selection
 from gibson_sim.render.clusters import places
 from gibson_sim.scenes.collision.triangles import components
 from gibson_sim.scenes.mesh_types import MeshPart
@@ -100,7 +100,7 @@ class Insides:
 
     def __init__(self, boxes: F64, links: I64, *, loops: bool = CAN_COMPILE) -> None:
         self._boxes, self._links, self._loops = fixed(boxes), fixed(links), loops
-        self.solids = choosing.Solids(self._boxes, self._links)
+        self.solids = lod_selection.Solids(self._boxes, self._links)
         """The same, as loops take them."""
 
     def may_hold(self, eyes: F64, T_camera_links: F64, near_corners: F64) -> bool:
@@ -112,7 +112,7 @@ class Insides:
             near_corners: (4, 3), of the picture at its near distance, optical frame, metres.
         """
         if self._loops:
-            return choosing.begins_inside(self.solids, eyes, T_camera_links, near_corners)
+            return lod_selection.begins_inside(self.solids, eyes, T_camera_links, near_corners)
         reach = np.sqrt(np.einsum("ck,ck->c", near_corners, near_corners).max())
         far = (np.abs(eyes[self._links] - self._boxes[:, :3]) > self._boxes[:, 3:] + reach).any(axis=1)
         T = T_camera_links[self._links[~far]]

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from gibson_sim.geometry.compiling import CAN_COMPILE, fixed
 from gibson_sim.geometry.transforms import Mat4, matrices_from_poses
-from gibson_sim.render import choosing
+from gibson_sim.render import lod_selection
 from gibson_sim.render.batches import Batches
-from gibson_sim.render.choosing import Chunks, Detail, Groups
+from gibson_sim.render.lod_selection import Chunks, Detail, Groups
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
@@ -140,7 +140,7 @@ def world_from_links(positions: F64, quats_xyzw: F64, *, loops: bool = CAN_COMPI
         loops: by compiled loops.
     """
     if loops:
-        return choosing.world_from_links(fixed(positions), fixed(quats_xyzw))
+        return lod_selection.world_from_links(fixed(positions), fixed(quats_xyzw))
     return np.concatenate([np.eye(4)[None], matrices_from_poses(positions, quats_xyzw)])
 
 
@@ -153,7 +153,7 @@ def link_frames(T_world_camera: Mat4, T_world_links: F64, *, loops: bool = CAN_C
         loops: by compiled loops.
     """
     if loops:
-        return choosing.link_frames(fixed(T_world_camera), fixed(T_world_links))
+        return lod_selection.link_frames(fixed(T_world_camera), fixed(T_world_links))
     (a, b, c), t = T_world_camera[:3, :3], T_world_camera[:3, 3]
     W = T_world_links
     T_camera_links = np.zeros_like(W)

@@ -33,7 +33,7 @@ _SETTLED = 1e-4
 _REST_GAIN = 0.3
 """Part of the way to the rest pose that an iteration goes, as far as the target allows."""
 _REST_DAMPING = 1e-2
-"""Keeps joints from going far for a wish that they hardly serve."""
+"""Damping of the null-space motion towards the rest pose."""
 _DEAD_END = 0.98
 """A try whose error was no smaller than so much of it ten iterations ago is given up."""
 _DAMPING = 0.05
@@ -41,7 +41,7 @@ _DAMPING = 0.05
 _FAR = 0.3
 """Metres above which more error damps no more."""
 _ARM = 0.5
-"""Metres that a radian counts as much as."""
+"""Weight of rotation against translation, m/rad."""
 _LONGEST = 0.5
 """Radians or metres that a joint moves in an iteration."""
 
@@ -151,7 +151,7 @@ class Chain:
         Args:
             target: T_root_tip, (4, 4).
             start: Where joints are now: the search begins there, and ends near there if it can; those not named are at 0.
-            rest: Where joints shall be as far as the target leaves them free; those not named have no wish, None = none has.
+            rest: Where joints shall be as far as the target leaves them free; those not named have no rest_positions, None = none has.
             orientation: Whether it counts; False = the tip's origin alone shall be there.
 
         Raises:
@@ -160,13 +160,13 @@ class Chain:
         if not np.isfinite(target).all():
             raise CommandError("target of the chain has a number that is not finite; give a pose")
         now = np.clip(np.array([start.get(name, 0.0) for name in self.names]), self._lower, self._upper)
-        wish = np.array([(rest or {}).get(name, np.nan) for name in self.names])
+        rest_positions = np.array([(rest or {}).get(name, np.nan) for name in self.names])
         rng = np.random.default_rng(0)
         low, high = np.maximum(self._lower, -math.pi), np.minimum(self._upper, math.pi)
         best, least = now, math.inf
         for attempt in range(1 + _RESTARTS):
             begin = now if attempt == 0 else np.clip(rng.uniform(low, np.maximum(low, high)), self._lower, self._upper)
-            found = self._descend(target, begin, start, wish, orientation)
+            found = self._descend(target, begin, start, rest_positions, orientation)
             size = float(np.linalg.norm(self._error(target, found, start, orientation)[0]))
             if size < least:
                 best, least = found, size
@@ -176,20 +176,20 @@ class Chain:
         positions = tuple(best.tolist())
         return ChainSolution(self.names, positions, float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])) / _ARM)
 
-    def _descend(self, target: Mat4, begin: F64, others: Mapping[str, float], wish: F64, orientation: bool) -> F64:
+    def _descend(self, target: Mat4, begin: F64, others: Mapping[str, float], rest_positions: F64, orientation: bool) -> F64:
         """Goes downhill from ``begin``: damped least squares among the joints that no limit stops."""
         q, before = begin, math.inf
         for iteration in range(_ITERATIONS):
             error, jacobian = self._error(target, q, others, orientation)
             size = float(np.linalg.norm(error))
-            resting = iteration < _ITERATIONS - _POLISHING and not bool(np.isnan(wish).all())
+            resting = iteration < _ITERATIONS - _POLISHING and not bool(np.isnan(rest_positions).all())
             if size < _EXACT and not resting:
                 break
             if iteration % 10 == 9:
                 if size > max(_DEAD_END * before, 10 * _EXACT):
                     break
                 before = size
-            step = self._step(q, error, jacobian, wish if resting else None)
+            step = self._step(q, error, jacobian, rest_positions if resting else None)
             step *= min(1.0, _LONGEST / max(float(np.abs(step).max()), 1e-30))
             after: F64 = np.clip(q + step, self._lower, self._upper)
             moved = float(np.abs(after - q).max())
@@ -198,7 +198,7 @@ class Chain:
                 break
         return q
 
-    def _step(self, q: F64, error: F64, jacobian: F64, wish: F64 | None) -> F64:
+    def _step(self, q: F64, error: F64, jacobian: F64, rest_positions: F64 | None) -> F64:
         """Returns by how much the joints move; those that a limit stops are taken out until none is left that would pass it."""
         free = np.ones(len(q), dtype=bool)
         step = np.zeros(len(q))
@@ -207,8 +207,8 @@ class Chain:
             part = jacobian[:, free]
             step = np.zeros(len(q))
             step[free] = part.T @ np.linalg.solve(part @ part.T + damping * np.eye(len(error)), error)
-            if wish is not None:
-                step[free] += _REST_GAIN * _self_motion(part, (wish - q)[free])
+            if rest_positions is not None:
+                step[free] += _REST_GAIN * _self_motion(part, (rest_positions - q)[free])
             stopped = free & (((q <= self._lower) & (step < 0.0)) | ((q >= self._upper) & (step > 0.0)))
             if not stopped.any() or stopped.sum() == free.sum():
                 break
@@ -255,12 +255,12 @@ class Chain:
 
 
 def _self_motion(jacobian: F64, wanted: F64) -> F64:
-    """Returns the motion of the joints, (J,), that leaves the tip where it is and comes nearest to ``wanted``, (J,); NaN = no wish."""
+    """Returns the motion of the joints, (J,), that leaves the tip where it is and comes nearest to ``wanted``, (J,); NaN = no rest_positions."""
     _, sizes, rows = np.linalg.svd(jacobian)
     free: F64 = rows[int((sizes > 1e-6).sum()) :]
-    wishes = ~np.isnan(wanted)
-    part = free[:, wishes]
-    amounts = np.linalg.solve(part @ part.T + _REST_DAMPING * np.eye(len(free)), part @ wanted[wishes])
+    has_rest = ~np.isnan(wanted)
+    part = free[:, has_rest]
+    amounts = np.linalg.solve(part @ part.T + _REST_DAMPING * np.eye(len(free)), part @ wanted[has_rest])
     return np.asarray(amounts @ free)
 
 

@@ -84,7 +84,7 @@ def servo_speeds(
         jacobian: (6, J), from joint velocities to the twist of the tool.
         twist: (6,), linear m/s, angular rad/s, in the axes of the Jacobian.
         positions: (J,), radians or metres.
-        home: (J,), the pose to which joints go as far as they are free; NaN = no wish.
+        home: (J,), the pose to which joints go as far as they are free; NaN = none.
         lower: (J,), limits of the positions; -inf = none.
         upper: (J,).
         fastest: (J,), limits of the velocities; inf = none.
@@ -93,10 +93,10 @@ def servo_speeds(
     """
     free = np.ones(len(positions), dtype=bool)
     speeds = np.zeros(len(positions))
-    wish = np.where(np.isnan(home), 0.0, settings.homing * (home - positions))
+    homing = np.where(np.isnan(home), 0.0, settings.homing * (home - positions))
     for _ in range(len(positions)):
         speeds = np.zeros(len(positions))
-        speeds[free] = _least_squares(jacobian[:, free], twist, wish[free], settings)
+        speeds[free] = _least_squares(jacobian[:, free], twist, homing[free], settings)
         speeds = speeds / max(float((np.abs(speeds) / fastest).max()), 1.0)
         after = positions + speeds * dt
         stopped = free & (((after > upper) & (speeds > 0.0)) | ((after < lower) & (speeds < 0.0)))
@@ -108,8 +108,8 @@ def servo_speeds(
     return np.zeros(len(positions))
 
 
-def _least_squares(jacobian: F64, twist: F64, wish: F64, settings: ServoSettings) -> F64:
-    """Returns the velocities of the joints that are free; ``wish`` counts only as far as it does not move the tool."""
+def _least_squares(jacobian: F64, twist: F64, homing: F64, settings: ServoSettings) -> F64:
+    """Returns the velocities of the joints that are free; ``homing`` counts only as far as it does not move the tool."""
     u, sizes, rows = np.linalg.svd(jacobian, full_matrices=True)
     count = len(sizes)
     least = np.minimum(sizes / settings.singular, 1.0)
@@ -118,4 +118,4 @@ def _least_squares(jacobian: F64, twist: F64, wish: F64, settings: ServoSettings
     task = rows[:count].T @ (gains * (u[:, :count].T @ twist))
     rank = int((sizes > _RANK * max(float(sizes[0]), _RANK)).sum())
     rest = rows[rank:]
-    return np.asarray(task + rest.T @ (rest @ wish))
+    return np.asarray(task + rest.T @ (rest @ homing))

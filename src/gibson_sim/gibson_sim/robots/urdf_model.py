@@ -32,7 +32,7 @@ class UrdfVisual:
 
 @dataclass(frozen=True, slots=True)
 class UrdfCollision:
-    """A shape that is bumped into."""
+    """A collision shape."""
 
     shape: Shape
     pose: Pose

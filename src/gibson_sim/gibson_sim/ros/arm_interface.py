@@ -23,7 +23,7 @@ from gibson_sim.robots.manipulator_spec import ManipulatorSpec
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.arm_actions import Answer, GripperAction, TrajectoryAction, control_actions, without_control_msgs
-from gibson_sim.ros.deferred import DeferredService, Later
+from gibson_sim.ros.deferred import DeferredResponse, DeferredService
 from gibson_sim.ros.digest_publisher import DigestPublisher
 from gibson_sim.ros.journal import Journal
 
@@ -161,7 +161,7 @@ class ArmInterface:
                 dropped.answer(None, "too many commands came before the next step; send fewer, or let time go on")
         self._commands.append(command)
 
-    def keep_commands(self) -> None:
+    def latch_commands(self) -> None:
         """Keeps the commands that arrived until now for the next step; later ones are for the steps after it."""
         self._kept.extend(self._commands)
         self._commands.clear()
@@ -214,9 +214,9 @@ class ArmInterface:
     def _grasp(self, arm: str, world: PhysicsWorld, msg: Bool) -> None:
         (world.grasp if msg.data else world.release)(self._robot.name, arm)
 
-    def _on_grasp(self, arm: str, topic: str, request: Any, response: Any) -> Later:
+    def _on_grasp(self, arm: str, topic: str, request: Any, response: Any) -> DeferredResponse:
         """Grasps in the next step; the answer comes with it."""
-        later = Later()
+        later = DeferredResponse()
 
         def answer(world: PhysicsWorld | None, error: str) -> None:
             response.success, response.message = False, error

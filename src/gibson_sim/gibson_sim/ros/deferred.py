@@ -17,7 +17,7 @@ from rclpy.node import Node
 logger = logging.getLogger(__name__)
 
 
-class Later:
+class DeferredResponse:
     """An answer that is not there yet. ``answer`` must be called once, in the thread of the executor."""
 
     def __init__(self) -> None:
@@ -38,7 +38,7 @@ class Later:
 
 
 class DeferredService:
-    """A service whose handler returns the response, or a ``Later``. A client that went away does not disturb it."""
+    """A service whose handler returns the response, or a ``DeferredResponse``. A client that went away does not disturb it."""
 
     def __init__(
         self, node: Node, kind: Any, name: str, handle: Callable[[Any, Any], Any], *, callback_group: CallbackGroup | None = None
@@ -54,7 +54,7 @@ class DeferredService:
         self._node.destroy_service(self._service)
 
     def _send(self, response: Any, header: Any) -> None:
-        if isinstance(response, Later):
+        if isinstance(response, DeferredResponse):
             response.send_with(lambda final: self._send(final, header))
             return
         try:

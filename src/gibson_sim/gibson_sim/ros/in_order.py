@@ -7,7 +7,7 @@ from collections.abc import Callable
 from threading import Thread
 from typing import Any
 
-from gibson_sim.ros.deferred import Later
+from gibson_sim.ros.deferred import DeferredResponse
 
 
 class InOrder:
@@ -16,19 +16,19 @@ class InOrder:
     def __init__(self, run_soon: Callable[..., Any]) -> None:
         """``run_soon(function, *arguments)`` calls a function in the thread of the executor; it may drop it once that has ended."""
         self._run_soon = run_soon
-        self._waiting: deque[tuple[Callable[[], Any] | None, Callable[[Any], Any], Later]] = deque()
+        self._waiting: deque[tuple[Callable[[], Any] | None, Callable[[Any], Any], DeferredResponse]] = deque()
         self._reading = False
 
     def take(self, act: Callable[[Any], Any], read: Callable[[], Any] | None = None) -> Any:
-        """Returns what ``act`` returns, at once where nothing is before it and nothing is to be read, else a ``Later`` for it.
+        """Returns what ``act`` returns, at once where nothing is before it and nothing is to be read, else a ``DeferredResponse`` for it.
 
         Args:
-            act: does what is asked for and returns the response, or a ``Later``; is given what ``read`` returned, else None.
+            act: does what is asked for and returns the response, or a ``DeferredResponse``; is given what ``read`` returned, else None.
             read: reads files in a thread, and touches nothing else; None = there is nothing to read.
         """
         if read is None and not self._waiting:
             return act(None)
-        later = Later()
+        later = DeferredResponse()
         self._waiting.append((read, act, later))
         self._go_on()
         return later
@@ -57,7 +57,7 @@ class InOrder:
     def _act(self, found: Any) -> None:
         _, act, later = self._waiting.popleft()
         outcome = act(found)
-        if isinstance(outcome, Later):
+        if isinstance(outcome, DeferredResponse):
             outcome.send_with(later.answer)
         else:
             later.answer(outcome)

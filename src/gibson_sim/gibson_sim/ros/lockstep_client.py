@@ -50,7 +50,7 @@ class LockstepParticipant:
         self._publisher.publish(TickDone(event=event, participant=self.name, after=after))
 
     @property
-    def is_heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Whether a simulation in lockstep listens."""
         return bool(self._publisher.get_subscription_count())
 
@@ -61,7 +61,7 @@ class LockstepParticipant:
             stamp: builtin_interfaces/Time, that of what the tick was known by.
             sent: topics on which commands were sent in this tick, once for each command: they count before time goes on.
         """
-        if not self.is_heard:
+        if not self.has_subscribers:
             return
         message = self._messages.get(tuple(sent))
         if message is None:

@@ -154,7 +154,7 @@ class LockstepGate:
         elif not core.is_open:
             what, opened_ns = f"has not done the tick at {(core.stamp_ns or 0) / NS_PER_S:.3f} s", now_ns - core.waited_ns(now_ns)
             self._repeat_tick(now_ns)
-        elif self._is_heard(now_ns):
+        elif self._is_matched(now_ns):
             return True
         elif not self._strangers:
             return False
@@ -182,14 +182,14 @@ class LockstepGate:
     def _names_there(self) -> set[str]:
         return {_full_name(p) for p in self._node.get_publishers_info_by_topic(names.TICK_DONE)}
 
-    def _is_heard(self, now_ns: int) -> bool:
+    def _is_matched(self, now_ns: int) -> bool:
         """Returns whether everybody hears what is published from now on."""
         if not self._new and not self._strangers:
             self._end_listening_beside()
             return True
         self._new = {n: since for n, since in self._new.items() if now_ns - since < _MATCHING_NS and not self._is_ready(n)}
         rules = {p.name: p.answer for p in self.core.participants}
-        heard = {n: since or now_ns if self._is_heard_by(rules[n]) else 0 for n, since in self._strangers.items()}
+        heard = {n: since or now_ns if self._is_matched_with(rules[n]) else 0 for n, since in self._strangers.items()}
         self._strangers = {n: since for n, since in heard.items() if not since or now_ns - since < _SETTLED_NS}
         return not self._new and not self._strangers
 
@@ -234,7 +234,7 @@ class LockstepGate:
             _full_name(p) == name and self._reaches(p, topic) for p in self._node.get_publishers_info_by_topic(names.TICK_DONE)
         )
 
-    def _is_heard_by(self, answer: str) -> bool:
+    def _is_matched_with(self, answer: str) -> bool:
         """Returns whether somebody publishes a topic, and all that those listen to reaches them."""
         found = [p for p in self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(answer)) if p.node_name]
         return bool(found) and all(map(self._reaches, found))

@@ -10,7 +10,7 @@ from rclpy.executors import Executor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from gibson_sim.ros.node_main import goes_on
+from gibson_sim.ros.node_main import is_running
 
 _START_LIMIT_S, _SAY_S = 120.0, 10.0
 """Wall time after which a run starts without what is missing, and after which it says what it waits for."""
@@ -37,7 +37,7 @@ def wait_for_others(
     began = time.monotonic()
     said = False
     own = {publisher.topic_name: publisher for publisher in node.publishers}
-    while goes_on():
+    while is_running():
         missing = [
             f"subscribers of {topic} ({count})" for topic, count in subscribers.items() if not _has(node, own, topic, count)
         ]

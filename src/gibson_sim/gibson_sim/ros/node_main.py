@@ -78,7 +78,7 @@ class _Signals(Interruptible):
 _signals = _Signals()
 
 
-def goes_on() -> bool:
+def is_running() -> bool:
     """Returns whether nobody has asked this process to end: the condition of every node's loop."""
     return rclpy.ok() and not _signals.asked
 
@@ -152,7 +152,7 @@ def spin_while(node: Node, wanted: Callable[[], bool] = lambda: True) -> None:
     """Lets the node work as long as ``wanted()`` and nobody asks the process to end; looks at both several times a second."""
     executor = make_executor()
     executor.add_node(node)
-    while goes_on() and wanted():
+    while is_running() and wanted():
         executor.spin_once(timeout_sec=0.1)
 
 

@@ -25,7 +25,7 @@ from gibson_sim.ros.image_gate import ImageGate
 from gibson_sim.ros.journal import Journal
 from gibson_sim.ros.lockstep_gate import LockstepGate
 from gibson_sim.ros.matching import wait_for_others, wait_until_received
-from gibson_sim.ros.node_main import goes_on, run_node, write_summary
+from gibson_sim.ros.node_main import is_running, run_node, write_summary
 from gibson_sim.ros.only_simulation import OnlySimulation
 from gibson_sim.ros.pacing import Pacer
 from gibson_sim.ros.params import config_from_parameters
@@ -211,7 +211,7 @@ class PhysicsNode(Node):
         self.create_timer(1.0, self._world_topics.give_way, clock=steady)
         self.create_timer(1.0, self._unreceived.look, clock=steady)
         self._stats.restart(self._stamp_ns)
-        while goes_on() and not self._done:
+        while is_running() and not self._done:
             executor.spin_once(timeout_sec=0.5)
             if self._images is not None and not self._images.is_open:
                 self._turn()  # the timer rests, so that renderers have the processor; the timeout may have passed
@@ -230,10 +230,10 @@ class PhysicsNode(Node):
         while gate is not None and gate.core.stamp_ns is not None and not gate.may_go():
             if gate.failure is not None:
                 raise gate.failure
-            if self.simulator.quitting or not goes_on():
+            if self.simulator.quitting or not is_running():
                 break
             executor.spin_once(timeout_sec=0.1)
-        while self._images is not None and not self._images.may_go() and goes_on() and not self.simulator.quitting:
+        while self._images is not None and not self._images.may_go() and is_running() and not self.simulator.quitting:
             executor.spin_once(timeout_sec=0.1)
         wait_until_received(*self.publishers)
 
@@ -271,7 +271,7 @@ class PhysicsNode(Node):
         """Makes steps and publishes what is due at them, until a tick waits for others; returns how many of ``left`` are left."""
         while left and not self._done:
             for robot in self._robots.values():
-                robot.keep_commands()
+                robot.latch_commands()
             self._step(now_ns)
             world = self.simulator.world
             assert world is not None
@@ -299,7 +299,7 @@ class PhysicsNode(Node):
                     break
                 # Before it is published: an answer to it must not slip in.
                 for robot in self._robots.values():
-                    robot.keep_commands()
+                    robot.latch_commands()
                 self._ticks.release(world)
                 self._end_step(world.stamp_ns)
             if not left or self._done:

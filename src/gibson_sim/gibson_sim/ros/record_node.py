@@ -21,7 +21,7 @@ from gibson_sim.ros.awaited import Awaited
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.intake import DEPTH, Intake, Taken, offered_qos, recording_profile
 from gibson_sim.ros.lockstep_client import MATCHING_S, SETTLED_S, LockstepParticipant
-from gibson_sim.ros.node_main import goes_on, run_node, started_by_launcher, write_summary
+from gibson_sim.ros.node_main import is_running, run_node, started_by_launcher, write_summary
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.ros.record_services import offer_services
 from gibson_sim.settings import nearest
@@ -203,7 +203,7 @@ class RecordNode(Node):
         """Records until it is asked to end, ``duration`` has passed or the disk is full; returns the exit code."""
         executor = make_executor()
         executor.add_node(self)
-        while goes_on() and not self._recording.done:
+        while is_running() and not self._recording.done:
             self._simulation.look()
             began = time.monotonic()
             self._take_waiting()

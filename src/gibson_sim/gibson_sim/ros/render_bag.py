@@ -39,7 +39,7 @@ from gibson_sim.ros.camera_transforms import TF_TYPE, CameraTransforms, ViewTran
 from gibson_sim.ros.exact_bytes import exact_bytes
 from gibson_sim.ros.message_types import type_name_of
 from gibson_sim.ros.node_main import end_with_parent, keep_large_blocks
-from gibson_sim.ros.opening import open_renderer
+from gibson_sim.ros.renderer_factory import open_renderer
 from gibson_sim.scenes.asset_paths import with_local_files
 from gibson_sim.scenes.builder import SceneBuilder
 from gibson_sim.scenes.floor_extent import extent_of_drawn

@@ -23,9 +23,9 @@ from gibson_sim.ros.camera_publisher import REGISTERED, CameraPublisher
 from gibson_sim.ros.digest_publisher import DigestPublisher
 from gibson_sim.ros.lockstep_client import LockstepParticipant, wait_for_readers
 from gibson_sim.ros.node_main import run_node, spin_while, write_summary
-from gibson_sim.ros.opening import device_of, open_renderer
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.ros.render_stats import RenderStats
+from gibson_sim.ros.renderer_factory import device_of, open_renderer
 from gibson_sim.ros.run_info import publish_run_info
 from gibson_sim.scenes.asset_paths import with_local_files
 from gibson_sim.scenes.spec import DrawnScene
@@ -169,7 +169,7 @@ class RenderNode(Node):
         assert self._scene is not None
         if self._last_done is None:
             self._last_done = (-1, -1)
-            if self._lockstep is not None and self._lockstep.is_heard:
+            if self._lockstep is not None and self._lockstep.has_subscribers:
                 wait_for_readers(self)
         ours = [state for state in states if state.revision == self._scene.revision]
         self._note_foreign(states, bool(ours))

@@ -24,7 +24,7 @@ from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.lockstep_client import LockstepParticipant
 from gibson_sim.ros.matching import reaches_all
 from gibson_sim.ros.message_types import message_class
-from gibson_sim.ros.node_main import goes_on, run_node, write_summary
+from gibson_sim.ros.node_main import is_running, run_node, write_summary
 from gibson_sim.ros.params import config_from_parameters
 
 LAST_DIGESTS_S = 2.0, 20.0
@@ -103,7 +103,7 @@ class ReplayNode(Node):
         executor = make_executor()
         executor.add_node(self)
         self._prepare(executor)
-        while goes_on() and not self._is_over():
+        while is_running() and not self._is_over():
             executor.spin_once(timeout_sec=0.05)
         if self._lockstep is not None and self._ended_s is None:
             self._lockstep.leave()
@@ -112,9 +112,9 @@ class ReplayNode(Node):
     def _prepare(self, executor: Executor) -> None:
         """Gives what comes before the first tick, then lets time begin: it waits for a reader of the state."""
         simulation = Awaited.simulation(self, names.SCENE_STATE, self._config.timeout)
-        while goes_on() and not simulation.look():
+        while is_running() and not simulation.look():
             executor.spin_once(timeout_sec=0.05)
-        self._wait(executor, self._giver.is_heard, "a simulation that takes the inputs")
+        self._wait(executor, self._giver.has_subscribers, "a simulation that takes the inputs")
         if self._comparison is not None:
             self.create_subscription(TickDigest, names.TICK_DIGEST, self._on_digests, _DEEP)
             self.create_subscription(RunInfo, names.RUN_INFO, self._on_run_info, qos.RUN_INFO)
@@ -132,7 +132,7 @@ class ReplayNode(Node):
         """Works until a condition holds; without, after a timeout, the replay goes on, and what is missing differs."""
         awaited = Awaited(self, what, condition, timeout_s=self._config.timeout)
         try:
-            while goes_on() and not awaited.look():
+            while is_running() and not awaited.look():
                 executor.spin_once(timeout_sec=0.05)
         except GibsonSimError as error:
             self.get_logger().warning(f"{error}; the replay goes on without")
@@ -206,7 +206,7 @@ class _Inputs:
         self._node, self._schedule, self._ahead = node, InputSchedule(inputs), ahead
         self._publisher = node.create_publisher(Input, names.INPUTS_AT, qos.INPUTS)
 
-    def is_heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Returns whether the simulation listens."""
         return _is_matched(self._node, self._publisher) and self._simulation() in _readers(self._node, self._publisher)
 
@@ -242,7 +242,7 @@ class _Commands:
             if item.name not in self._publishers:
                 self._publishers[item.name] = node.create_publisher(message_class(item.type_name), item.name, qos.COMMAND)
 
-    def is_heard(self) -> bool:
+    def has_subscribers(self) -> bool:
         """Returns whether somebody listens to every topic."""
         return all(_is_matched(self._node, publisher) for publisher in self._publishers.values())
 

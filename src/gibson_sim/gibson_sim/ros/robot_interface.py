@@ -183,11 +183,11 @@ class RobotInterface:
         received = [self._subscriptions[0]] if self._stamped is None else [self._subscriptions[0], self._stamped_subscription]
         return bool(sum(subscription.handle.get_publisher_count() for subscription in received) >= count)
 
-    def keep_commands(self) -> None:
+    def latch_commands(self) -> None:
         """Keeps the commands that arrived until now for the next step; later ones are for the steps after it."""
         for _ in range(len(self._commands)):
             self._kept.append(self._commands.popleft())
-        self._arms.keep_commands()
+        self._arms.latch_commands()
 
     def take_commands(self, world: PhysicsWorld, journal: Journal) -> None:
         """Hands the commands that were kept to the world, in the order of their arrival, and notes them."""
@@ -297,9 +297,9 @@ class RobotInterface:
 
     def measure(self, world: PhysicsWorld, *, all_of_it: bool) -> Measurements:
         """Returns what is due of the sensors at the step that was just made: all of it, or no lidar and IMU that nobody listens to."""
-        return self.sensors.measure(world, world.step_count, world.stamp_ns, None if all_of_it else self._is_heard)
+        return self.sensors.measure(world, world.step_count, world.stamp_ns, None if all_of_it else self._has_subscribers)
 
-    def _is_heard(self, sensor: str) -> bool:
+    def _has_subscribers(self, sensor: str) -> bool:
         return bool(self._sensor_pubs[sensor].get_subscription_count())
 
     def publish_sensors(self, measured: Measurements, digests: DigestPublisher | None = None) -> None:

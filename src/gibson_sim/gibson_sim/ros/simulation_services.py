@@ -27,7 +27,7 @@ from gibson_sim import __version__
 from gibson_sim.errors import ConfigError
 from gibson_sim.quoting import quoted
 from gibson_sim.ros import simulation_conversions as convert
-from gibson_sim.ros.deferred import DeferredService, Later
+from gibson_sim.ros.deferred import DeferredResponse, DeferredService
 from gibson_sim.ros.in_order import InOrder
 from gibson_sim.ros.results import end_goal, failed, succeeded
 from gibson_sim.scenes.spawning import SPAWN_FORMATS
@@ -60,7 +60,7 @@ _CHANGING_STATES = (SimulationState.STOPPED, SimulationState.PLAYING)
 """To stop is to reset, and a world that was loaded has to be started; a pause changes nothing."""
 _SPAWNING = frozenset({"spawn_entity", "spawn_entities"})
 """What names files; what was read of them is handed to the handler."""
-_Handler = Callable[..., Later | str | None]
+_Handler = Callable[..., DeferredResponse | str | None]
 _Found = list[ReadAhead | None] | None
 SPAWNS_AT_ONCE = 50
 """Entities of one request that are spawned before the loop goes on."""
@@ -166,7 +166,7 @@ class SimulationServices:
         for kind, known, handler in self._table():
             if self._node.resolve_service_name(f"{self._prefix}{known}") == name:
                 response = self._handle(known, handler, request, kind.Response())
-                if not isinstance(response, Later) and response.result.result != Result.OK:
+                if not isinstance(response, DeferredResponse) and response.result.result != Result.OK:
                     logger.warning("%s, repeated from a record: %s", name, response.result.error_message)
                 return
         raise ConfigError(
@@ -189,14 +189,14 @@ class SimulationServices:
             return None
 
     def _handle(self, name: str, handler: _Handler, request: Any, response: Any, found: Any = None) -> Any:
-        """Answers a request: a handler returns None or a remark where all is well, and a Later where it takes longer."""
+        """Answers a request: a handler returns None or a remark where all is well, and a DeferredResponse where it takes longer."""
         if _changes(name, request):
             self._note(self._node.resolve_service_name(f"{self._prefix}{name}"), request)
         try:
             outcome = handler(request, response, found) if name in _SPAWNING else handler(request, response)
         except Exception as error:
             return failed(response, error)
-        return outcome if isinstance(outcome, Later) else succeeded(response, outcome or "")
+        return outcome if isinstance(outcome, DeferredResponse) else succeeded(response, outcome or "")
 
     def _run_soon(self, function: Callable[..., Any], *arguments: Any) -> None:
         if not self._closed:
@@ -218,8 +218,8 @@ class SimulationServices:
     def _reset(self, request: Any, _: Any) -> None:
         self._simulator.reset(request.scope)
 
-    def _step(self, request: Any, response: Any) -> Later:
-        later = Later()
+    def _step(self, request: Any, response: Any) -> DeferredResponse:
+        later = DeferredResponse()
 
         def ended(work: StepRequest) -> None:
             error = SimulationError(Result.OPERATION_FAILED, work.failure) if work.failure else None
@@ -260,8 +260,8 @@ class SimulationServices:
             convert.spawn_request_from_msg(request), found[0] if found else None
         )
 
-    def _spawn_entities(self, request: Any, response: Any, found: _Found) -> Later:
-        later = Later()
+    def _spawn_entities(self, request: Any, response: Any, found: _Found) -> DeferredResponse:
+        later = DeferredResponse()
         waiting = list(zip(request.spawn_requests, found or [None] * len(request.spawn_requests), strict=True))
         _ = self._simulator.population  # without a world it fails as a whole
 
@@ -293,9 +293,9 @@ class SimulationServices:
     def _delete_entity(self, request: Any, _: Any) -> None:
         self._simulator.population.delete(request.entity)
 
-    def _beside(self, work: Callable[[], str], response: Any) -> Later:
+    def _beside(self, work: Callable[[], str], response: Any) -> DeferredResponse:
         """Does what touches nothing but files and the response in a thread, while time goes on; it returns a remark."""
-        later = Later()
+        later = DeferredResponse()
 
         def ended(outcome: str | Exception) -> None:
             self._searching = False
@@ -320,7 +320,7 @@ class SimulationServices:
             self._searching = True
             Thread(target=self._searches.popleft(), name="look-for-files", daemon=True).start()
 
-    def _get_spawnables(self, request: Any, response: Any) -> Later:
+    def _get_spawnables(self, request: Any, response: Any) -> DeferredResponse:
         sources = tuple(request.sources)
 
         def work() -> str:
@@ -337,8 +337,8 @@ class SimulationServices:
     def _get_named_pose_bounds(self, request: Any, response: Any) -> None:
         response.bounds = convert.bounds_to_msg(self._simulator.named_pose_bounds(request.name))
 
-    def _load_world(self, request: Any, response: Any) -> Later:
-        later, wanted = Later(), convert.load_request_from_msg(request)
+    def _load_world(self, request: Any, response: Any) -> DeferredResponse:
+        later, wanted = DeferredResponse(), convert.load_request_from_msg(request)
         self._simulator.begin_load(wanted)
 
         def read() -> None:
@@ -352,7 +352,7 @@ class SimulationServices:
         Thread(target=read, name="read-world", daemon=True).start()
         return later
 
-    def _world_read(self, wanted: LoadRequest, outcome: SceneSpec | Exception, response: Any, later: Later) -> None:
+    def _world_read(self, wanted: LoadRequest, outcome: SceneSpec | Exception, response: Any, later: DeferredResponse) -> None:
         """Makes the world that was read, in the thread that owns physics."""
         try:
             if isinstance(outcome, Exception):
@@ -367,7 +367,7 @@ class SimulationServices:
     def _unload_world(self, _: Any, __: Any) -> None:
         self._simulator.unload_world()
 
-    def _get_available_worlds(self, request: Any, response: Any) -> Later:
+    def _get_available_worlds(self, request: Any, response: Any) -> DeferredResponse:
         sources, tags = tuple(request.additional_sources), convert.tags_filter_from_msg(request.filter)
 
         def work() -> str:

@@ -25,7 +25,7 @@ from gibson_sim.ros import conversions, names, qos
 from gibson_sim.ros.awaited import Awaited
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.lockstep_client import LockstepParticipant
-from gibson_sim.ros.node_main import goes_on, run_node
+from gibson_sim.ros.node_main import is_running, run_node
 from gibson_sim.ros.params import config_from_parameters
 from gibson_sim.tasks.controls import finger_joints
 from gibson_sim.tasks.episode import Action, Episode, Item, View, item_root, view_of
@@ -180,14 +180,14 @@ class TaskNode(Node):
             )
         waits = self._config.baseline == "none"
         number = 0
-        while goes_on() and (waits or number < self._config.episodes):
+        while is_running() and (waits or number < self._config.episodes):
             seed = self._config.seed + number
             self._results.append(self._episode(seed))
             print(episode_line(seed, self._results[-1]), flush=True)
             number += 1
-            while waits and goes_on() and not self._reset_asked:
+            while waits and is_running() and not self._reset_asked:
                 self._executor.spin_once(timeout_sec=0.1)
-        if goes_on():
+        if is_running():
             self._report()
         return 0
 
@@ -201,7 +201,7 @@ class TaskNode(Node):
         policy = None if self._config.baseline == "none" else self._task.policy(self._config.baseline, episode, self._ground)
         self._announce(episode)
         success = False
-        while goes_on() and not (success or self._reset_asked or view.time >= episode.time_limit):
+        while is_running() and not (success or self._reset_asked or view.time >= episode.time_limit):
             awaited_ns = begin_ns + round(view.time * NS_PER_S) + _PERIOD_NS
             self._answer(self._do(policy, view) if policy is not None else (), awaited_ns)
             view = self._view(begin_ns, awaited_ns)
@@ -332,7 +332,7 @@ class TaskNode(Node):
 
     def _wait_for(self, awaited: Awaited) -> None:
         while not awaited.look():
-            if not goes_on():
+            if not is_running():
                 raise KeyboardInterrupt
             self._executor.spin_once(timeout_sec=0.1)
 

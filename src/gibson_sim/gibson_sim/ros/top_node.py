@@ -23,7 +23,7 @@ from gibson_sim.ros import names
 from gibson_sim.ros.awaited import how_to_find_a_simulation
 from gibson_sim.ros.executor import make_executor
 from gibson_sim.ros.message_types import UNKNOWN, message_class
-from gibson_sim.ros.node_main import goes_on, run_node
+from gibson_sim.ros.node_main import is_running, run_node
 from gibson_sim.ros.top_view import Status, TopicRate, View, render
 from gibson_sim.types import NS_PER_S
 
@@ -166,9 +166,9 @@ def watch(node: TopNode, executor: Executor, *, once: bool, patience_s: float, p
     node.follow_topics()
     node.look()
     seen = time.monotonic()
-    while goes_on():
+    while is_running():
         _work(executor, period_s)
-        while once and goes_on() and not node.has_reports() and time.monotonic() < deadline:
+        while once and is_running() and not node.has_reports() and time.monotonic() < deadline:
             _work(executor, 0.1)
         if node.simulation_runs():
             seen = time.monotonic()
@@ -192,7 +192,7 @@ def _no_simulation(node: TopNode, patience_s: float) -> int:
 
 def _work(executor: Executor, seconds: float) -> None:
     deadline = time.monotonic() + seconds
-    while (left := deadline - time.monotonic()) > 0 and goes_on():
+    while (left := deadline - time.monotonic()) > 0 and is_running():
         executor.spin_once(timeout_sec=left)
 
 

@@ -211,7 +211,7 @@ class SceneBuilder:
         return str(real)
 
     def add_collision(self, name: str, shape: Shape, matrix: F64) -> None:
-        """Adds something that is bumped into, at T_world_shape."""
+        """Adds a collision shape, at T_world_shape."""
         self.collisions.append(CollisionSpec(_unique(name, self._collision_names), shape, pose_from_matrix(matrix)))
 
     def add_simplified_collision(self, name: str, shape: Shape, matrix: F64) -> None:
@@ -234,7 +234,7 @@ class SceneBuilder:
             raise SceneError(f"scene {quoted(self.name)}: its name must be one line of at most {_LONGEST_NAME} characters")
         if not self.visuals and not self.collisions and self.ground_z is None:
             reason = f": {self.warnings[0]}" if self.warnings else ""
-            raise SceneError(f"scene {quoted(self.name)}: nothing in it can be drawn or bumped into{reason}")
+            raise SceneError(f"scene {quoted(self.name)}: nothing in it can be drawn or collided with{reason}")
         floor_z = self.floor_z
         if floor_z is None:
             triangles = merge([shape_triangles(self.loader, c) for c in self.collisions])

@@ -78,7 +78,7 @@ def finish(builder: SceneBuilder) -> SceneSpec:
     scene = builder.finish()
     for warning in scene.warnings:
         _log.warning("scene %s: %s", scene.name, warning)
-    _log.info("scene %s: %d shapes to draw, %d to bump into", scene.name, len(scene.visuals), len(scene.collisions))
+    _log.info("scene %s: %d visual, %d collision shapes", scene.name, len(scene.visuals), len(scene.collisions))
     return scene
 
 
@@ -174,7 +174,7 @@ def _root(file: Path, given: Path) -> Path:
 
 
 def _read_mesh(builder: SceneBuilder, path: Path) -> None:
-    """Puts a bare mesh into the builder, drawn and bumped into as it is."""
+    """Puts a bare mesh into the builder, drawn and touched as it is."""
     shape, matrix = builder.mesh_shape(path, np.eye(4), (1.0, 1.0, 1.0))
     builder.add_visual(path.stem, shape, matrix)
     builder.add_collision(path.stem, shape, matrix)

@@ -35,7 +35,7 @@ def read_views(text: str, size: tuple[int, int] = (640, 480), rate_hz: float = 3
     Args:
         text: parts separated by commas: ``follow``, ``orbit`` and ``top``, also with what they go with (``follow:left``), or files
             of cameras, each with a ``view`` or fixed to ``map``.
-        size: width and height of views of which no file says more, pixels.
+        size: default width and height of views, pixels.
         rate_hz: images a second of the same.
 
     Raises:

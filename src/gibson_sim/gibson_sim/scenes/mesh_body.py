@@ -39,7 +39,7 @@ class Solid:
 
 
 def mesh_body(path: Path, loader: MeshLoader) -> UrdfModel:
-    """Returns a model of one link that looks like the mesh and is bumped into as its convex hull.
+    """Returns a model of one link that looks like the mesh and collides as its convex hull.
 
     Args:
         path: the mesh file.

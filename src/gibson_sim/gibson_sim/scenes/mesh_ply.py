@@ -28,7 +28,7 @@ _INDICES = ("vertex_indices", "vertex_index")
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
 
 POINT_CLOUD_ADVICE = (
-    "is a point cloud: there are no triangles to draw or to bump into. Make a mesh of it first, for example with MeshLab "
+    "is a point cloud: there are no triangles to draw or to collide with. Make a mesh of it first, for example with MeshLab "
     "(Filters > Remeshing > Screened Poisson), CloudCompare (Plugins > PoissonRecon) or Open3D "
     "(TriangleMesh.create_from_point_cloud_poisson), and import that"
 )

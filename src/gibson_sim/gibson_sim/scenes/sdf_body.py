@@ -147,7 +147,7 @@ class SdfBodyReader:
             flat.frames.setdefault(inner.prefix.removesuffix(_SCOPE), list(flat.links)[before])
 
     def _links(self, flat: _Flat, tree: _Tree, static: bool) -> dict[str, UrdfLink]:
-        """Returns every link by name; a model without collisions is bumped into as it is drawn, as in worlds."""
+        """Returns every link by name; a model without collisions collides as it is drawn, as in worlds."""
         has_collision = any(element.find("collision") is not None for element, _ in flat.links.values())
         links = {name: UrdfLink(name) for name in tree.extra_links}
         for name, (element, scope) in flat.links.items():
@@ -165,7 +165,7 @@ class SdfBodyReader:
             for item in element.iterfind("collision"):
                 for shape, pose, plane in self._shapes(flat, name, item, scope):
                     if plane and not static:
-                        text = f"link {name}: a plane can only be bumped into in a <static> model; left out"
+                        text = f"link {name}: a plane collides in a <static> model only; left out"
                         self.builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
                         continue
                     collisions.append(UrdfCollision(shape, pose))

@@ -303,7 +303,7 @@ class SdfModels:
 
     def _ground(self, matrix: F64, where: str) -> None:
         if matrix[2, 2] < 0.999:
-            text = f"{where}: a plane that is not level cannot be bumped into; left out"
+            text = f"{where}: a plane that is not level cannot be a collision shape; left out"
             self.builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
             return
         # The origin of the box lies half its thickness below the plane.

@@ -303,7 +303,7 @@ def _check(model: UrdfModel, loader: MeshLoader, *, read: bool, static: bool = F
         model: the model.
         loader: reads its meshes.
         read: its meshes have not been read yet.
-        static: nothing moves it, so it is bumped into as its meshes are, not as their hulls.
+        static: nothing moves it, so its meshes collide as they are, not as their hulls.
     """
     lines = list(model.warnings)
     if read:

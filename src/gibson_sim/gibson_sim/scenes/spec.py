@@ -1,4 +1,4 @@
-"""What a scene is: what is drawn, what is bumped into, where robots start. Pure values; reading files is in ``scenes.load``."""
+"""What a scene is: what is drawn, what collides, where robots start. Pure values; reading files is in ``scenes.load``."""
 
 from __future__ import annotations
 

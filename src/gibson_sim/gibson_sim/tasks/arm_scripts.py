@@ -124,10 +124,10 @@ class Arm:
             return None
         return dict(zip(solution.names, solution.positions, strict=True))
 
-    def leaning(self, view: View, told: Mapping[str, float], point: Vec3, wish: Mapping[str, float]) -> dict[str, float]:
+    def leaning(self, view: View, told: Mapping[str, float], point: Vec3, rest: Mapping[str, float]) -> dict[str, float]:
         """Returns the joints of the arm a little on from ``told``, so that the tool comes nearer to a world point; any way round.
 
-        They never jump: an arm that holds something keeps its shape, and goes back to that of ``wish`` as far as the point leaves it free.
+        They never jump: an arm that holds something keeps its shape, and goes back to that of ``rest`` as far as the point leaves it free.
         """
         x, y, z = (invert(matrix_from_pose(view.base)) @ np.array([*point, 1.0]))[:3].tolist()
         joints = np.array([told[name] for name in self.joints])
@@ -137,7 +137,7 @@ class Arm:
             inverse = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + LEAN_DAMPING * np.eye(3))
             free = np.eye(len(joints)) - inverse @ jacobian
             step = inverse @ (np.array([x, y, z]) - T_base_tool[:3, 3])
-            step += 0.1 * free @ (np.array([wish[name] for name in self.joints]) - joints)
+            step += 0.1 * free @ (np.array([rest[name] for name in self.joints]) - joints)
             joints = joints + np.clip(step, -JOINT_STEP / LEANS, JOINT_STEP / LEANS)
         return self._within(dict(zip(self.joints, joints.tolist(), strict=True)))
 

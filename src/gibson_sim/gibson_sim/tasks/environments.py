@@ -119,9 +119,9 @@ class TaskEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         before = run.remaining
         run.step(self._controls.action(action, run.view))
         metrics = run.metrics
-        nearer, bumped = before - run.remaining, metrics.collisions - self._collisions
+        nearer, collided = before - run.remaining, metrics.collisions - self._collisions
         self._collisions = metrics.collisions
-        reward = nearer + STEP_REWARD + COLLISION_REWARD * bumped + SUCCESS_REWARD * run.succeeded
+        reward = nearer + STEP_REWARD + COLLISION_REWARD * collided + SUCCESS_REWARD * run.succeeded
         info = {
             "success": metrics.success,
             "path_length": metrics.path_length,

@@ -60,7 +60,7 @@ class Furniture:
 
 @lru_cache(maxsize=256)
 def extent(model: str) -> tuple[Vec3, Vec3]:
-    """Returns the lowest and the highest corner of the box about what is bumped into of an object, root frame, metres."""
+    """Returns the lowest and the highest corner of the box about the collision shapes of an object, root frame, metres."""
     body = item_body(Item("extent", model, Pose()))
     points, _ = body_triangles(SceneSpec("extent", body.model.path.parent, "", (), (), bodies=(body,)))
     (ax, ay, az), (bx, by, bz) = points.min(axis=0).tolist(), points.max(axis=0).tolist()

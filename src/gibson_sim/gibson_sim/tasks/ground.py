@@ -134,7 +134,7 @@ def ground_of(scene: str, robot: str) -> Ground:
 
 @lru_cache(maxsize=256)
 def _outline(model: str) -> F64:
-    """Returns the corners (4, 2) of the box about what is bumped into of an object, root frame, metres, counter-clockwise."""
+    """Returns the corners (4, 2) of the box about the collision shapes of an object, root frame, metres, counter-clockwise."""
     body = item_body(Item("outline", model, Pose()))
     empty = SceneSpec("outline", body.model.path.parent, "", (), (), bodies=(body,))
     corners, _ = body_triangles(empty)

@@ -209,15 +209,15 @@ class _Opener:
         door, begin = self._door, self._door.opening(view)
         radius = math.dist((x, y), door.hinge)
         ahead_of_leaf = math.atan2(y - door.hinge[1], x - door.hinge[0]) - door.bearing - door.sense * begin
-        angle, wish = begin, dict(view.joints)
+        angle, rest = begin, dict(view.joints)
         way = backing_way(door, door.slant(begin, door.grip(begin, self._slant(view)), view.xy), self._there.wide, begin)
-        told, until = wish, view.time + 30.0
+        told, until = rest, view.time + 30.0
         while door.opening(view) < self._there.wide and view.held and view.time < until:
             # The hand may not run away from the door.
             angle = min(angle + 0.1 * PULL_SPEED / radius, door.opening(view) + _LEAD)
             at = door.bearing + ahead_of_leaf + door.sense * angle
             hand = door.hinge[0] + radius * math.cos(at), door.hinge[1] + radius * math.sin(at)
-            told = self._arm.leaning(view, told, (*hand, z), wish)
+            told = self._arm.leaning(view, told, (*hand, z), rest)
             linear, angular = way.speeds((*view.xy, view.yaw), angle)
             view = yield Action(linear, angular, joints=told, grasp=True)
         return view

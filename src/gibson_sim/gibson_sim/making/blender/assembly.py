@@ -45,7 +45,7 @@ class Assembly:
     uv: F64
     """(F, 3, 2): 0 to 1, from the lower left of the atlas."""
     boxes: F64
-    """(B, 2, 3): low and high corners of what is bumped into, world."""
+    """(B, 2, 3): low and high corners of the collision shapes, world."""
     box_owner: I64
     """(B,)."""
     charts: F64

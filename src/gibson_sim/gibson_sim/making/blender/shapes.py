@@ -56,11 +56,11 @@ class Solid:
         """Decides what all pieces of a building have in common."""
         self.parts: list[Part] = []
         self.boxes: list[tuple[F64, F64]] = []
-        """Low and high corners of what is bumped into."""
+        """Low and high corners of the collision shapes."""
         self.rng = rng
 
     def collide(self, low: ArrayLike, high: ArrayLike) -> None:
-        """Adds a box to what is bumped into."""
+        """Adds a box to the collision shapes."""
         a, b = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
         self.boxes.append((np.minimum(a, b), np.maximum(a, b)))
 
@@ -95,7 +95,7 @@ class Solid:
             surface: its look.
             bevel: width of the chamfer; 0 = sharp.
             open_sides: sides that nobody sees and that get few texels: of ``-x +x -y +y -z +z``, separated by blanks.
-            solid: it is also bumped into.
+            solid: it also collides.
         """
         a, b = np.minimum(low, high).astype(float), np.maximum(low, high).astype(float)
         if solid:

@@ -22,7 +22,7 @@ ZERO: Vec3 = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class Solid:
-    """A part of a link that is bumped into and has mass."""
+    """A part of a link that collides and has mass."""
 
     kind: Literal["box", "cylinder", "sphere"]
     size: Vec3

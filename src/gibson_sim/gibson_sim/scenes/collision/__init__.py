@@ -1,1 +1,1 @@
-"""Geometry to bump into that is cheap and close to what is drawn: flat floors and fewer triangles for scans, convex parts for objects."""
+"""Collision geometry that is cheap and close to what is drawn: flat floors and fewer triangles for scans, convex parts for objects."""

@@ -53,7 +53,7 @@ def scan_shapes(
         return {"what": str(made), "meshes": len(meshes), "slabs": slabs}
 
     place, record = kept_or_made(folder or default_folder(), digest_of(points, corners, "scan", max_error), make)
-    _log.info("%s is bumped into as %s", name, record["what"])
+    _log.info("%s collides as %s", name, record["what"])
     shapes = [(_mesh(path), Pose()) for path in _files(place, record)]
     slabs = record["slabs"]
     assert isinstance(slabs, list)
@@ -97,7 +97,7 @@ def convex_parts(
 
     digest = digest_of(points, corners, "convex", _coacd() is not None, _FAITHFUL, _MOST_PARTS)
     place, record = kept_or_made(folder or default_folder(), digest, make)
-    _log.info("%s is bumped into as %s convex parts", name, record["meshes"])
+    _log.info("%s collides as %s convex parts", name, record["meshes"])
     return tuple(_files(place, record))
 
 

@@ -1,4 +1,4 @@
-"""Makes what robots bump into of a scan: boxes with level tops for its floors, and as few triangles as its shape needs for the rest."""
+"""Makes the collision geometry of a scan: boxes with level tops for its floors, and as few triangles as its shape needs for the rest."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def simplify_scan(vertices: ArrayLike, triangles: ArrayLike, max_error: float = 
         simplified = _simplified(points[corners], flattened, max_error)
         if simplified is not None:
             return simplified
-    _log.warning("no simpler mesh lies within %g m of the scan: it is bumped into as it is", max_error)
+    _log.warning("no simpler mesh lies within %g m of the scan: its own mesh collides", max_error)
     return SimplifiedScan((), points, corners, 0.0, len(corners))
 
 

@@ -90,7 +90,7 @@ def floor_maps(
 
 
 def scene_triangles(scene: SceneSpec, *, bodies: bool = True) -> F64:
-    """Returns all that robots bump into as triangles (F, 3, 3), world frame, metres; bodies where they stand at load."""
+    """Returns the collision shapes of everything but robots as triangles (F, 3, 3), world frame, metres; bodies where they stand at load."""
     fixed = collision_triangles(scene)
     vertices, triangles = merge([fixed, body_triangles(scene)]) if bodies and scene.bodies else fixed
     return np.asarray(vertices[triangles])

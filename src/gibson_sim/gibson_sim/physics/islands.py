@@ -1,8 +1,8 @@
-"""How much of a world was awake in its last steps, as the engine counts it while it solves them.
+"""Which bodies were active in the last steps, from the sizes of the islands that the engine solved.
 
-In every step Bullet gathers what may touch, or is held together, in islands; it solves those in which anybody is awake, and nothing in any
+In every step Bullet gathers what may touch, or is held together, in islands; it solves those with an active body, and nothing in any
 other one moves. With its reports on, a step tells how many parts of bodies each solved island has: every link of a body is a part, and so is
-a root that is not fixed. So bodies of which it is known that they were awake, and that have that many parts, were the only ones.
+a root that is not fixed. If the bodies known to be active have exactly that many links, no other body was active.
 """
 
 from __future__ import annotations
