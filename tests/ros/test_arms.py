@@ -78,7 +78,7 @@ class Rig:
         """Obeys, makes a tick, publishes."""
         self._executor.spin_once(timeout_sec=0.001)
         self.arms.latch_commands()
-        self.refused += self.arms.take_commands(self.world, self)[1]  # type: ignore[arg-type]
+        self.refused += self.arms.apply_commands(self.world, self)[1]  # type: ignore[arg-type]
         self.world.step(STEPS)
         self.positions[self.world.step_count] = self.world.state().positions
         self.arms.publish(self.world)
@@ -162,9 +162,9 @@ def test_commands_on_topics_are_obeyed_and_noted_so_that_a_run_can_be_repeated(r
         while again.step_count < removed - STEPS:
             for _, name, message in [item for item in rig.inputs if item[0] == again.step_count]:
                 assert name in arms.command_topics
-                arms.give(name, message)
+                arms.receive(name, message)
             arms.latch_commands()
-            arms.take_commands(again, _Nowhere())  # type: ignore[arg-type]
+            arms.apply_commands(again, _Nowhere())  # type: ignore[arg-type]
             again.step(STEPS)
             assert np.array_equal(again.state().positions, rig.positions[again.step_count]), again.step_count
         arms.close()

@@ -20,7 +20,7 @@ from gibson_sim.physics.engine import pybullet as p, quiet
 from gibson_sim.physics.engine_files import EngineFiles
 from gibson_sim.physics.engine_types import BulletBody, EngineContact, JointReading
 from gibson_sim.physics.frames import cross, product, turn
-from gibson_sim.physics.islands import AwakeCount, parts_of
+from gibson_sim.physics.islands import ActiveBodies, parts_of
 from gibson_sim.physics.mesh_pieces import mesh_pieces
 from gibson_sim.physics.sleeping import Sleepers
 from gibson_sim.quoting import quoted
@@ -58,7 +58,7 @@ class Bullet:
         self._ray_bits = set(range(_FIRST_RAY_BIT, _FIRST_RAY_BIT + MAX_BODIES_WITH_RAYS))
         self._ray_threads = min(4, os.cpu_count() or 1)
         self._sleepers = Sleepers(self._client)
-        self.awake = AwakeCount(self._client)
+        self.awake = ActiveBodies(self._client)
         """Of all bodies, step by step."""
         p.setTimeStep(1.0 / step_hz, physicsClientId=self._client)
         p.setGravity(*gravity, physicsClientId=self._client)

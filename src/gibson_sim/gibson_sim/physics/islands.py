@@ -32,7 +32,7 @@ def parts_of(uid: int, links: int, client: int) -> float:
     return math.nan if fixed else links
 
 
-class AwakeCount:
+class ActiveBodies:
     """Counts awake parts step by step."""
 
     def __init__(self, client: int) -> None:

@@ -13,7 +13,7 @@ from gibson_sim.render import gl as GL
 from gibson_sim.render.batches import Batches
 from gibson_sim.render.context import GlContext
 from gibson_sim.render.lighting import Lighting
-from gibson_sim.render.material_maps import Dressing
+from gibson_sim.render.material_maps import MaterialMaps
 from gibson_sim.render.occluders import Occluders
 from gibson_sim.render.planning import KINDS, VIEW, Picture, Plan, Planner, Run, draw_table
 from gibson_sim.render.programs import Programs
@@ -73,7 +73,7 @@ class GlScene:
         self._buffers = [self._gl.create("glCreateBuffers") for _ in range(4)]
         self._links, self._links_before, self._views, self._command_buffer = self._buffers
         self._lighting: Lighting | None = None
-        self._dressing: Dressing | None = None
+        self._material_maps: MaterialMaps | None = None
         self._shadow: SunShadow | None = None
         self._glossy = False
         self.warnings: tuple[str, ...] = ()
@@ -99,7 +99,7 @@ class GlScene:
         self._take(batches, same_vertices, same_indices)
 
     def _take(self, b: Batches, same_vertices: int, same_indices: int) -> None:
-        before = self._batches if self._dressing is not None else None
+        before = self._batches if self._material_maps is not None else None
         self._batches, self._visibility = b, Visibility(b)
         self._planner = Planner(b, self._visibility, self._detail_px, cull=self._cull)
         self._moving = np.array([batch.moving for batch in b.batches], dtype=bool)
@@ -110,9 +110,9 @@ class GlScene:
             self._memory.take_occluders(self._occluders.indices)
             self._occluder_draws = draw_table(b, self._occluders.first, self._occluders.count)
         if before is None or before.map_sets != b.map_sets or not np.array_equal(before.patterns, b.patterns):
-            if self._dressing is not None:
-                self._dressing.close()
-            self._dressing = Dressing(self._context, b)
+            if self._material_maps is not None:
+                self._material_maps.close()
+            self._material_maps = MaterialMaps(self._context, b)
         glossy = any(batch.glossy for batch in b.batches)
         if self._lighting is None or (glossy and not self._glossy):
             if self._lighting is not None:
@@ -189,9 +189,9 @@ class GlScene:
         gl.glBindVertexArray(self._memory.array)
         gl.glBindBuffer(GL.DRAW_INDIRECT_BUFFER, self._command_buffer)
         gl.glBindSampler(0, 0)
-        assert self._lighting is not None and self._dressing is not None
+        assert self._lighting is not None and self._material_maps is not None
         self._lighting.bind()
-        self._dressing.bind()
+        self._material_maps.bind()
         if self._shadow is not None:
             self._shadow.bind()
         if len(self._batches.looks):
@@ -327,8 +327,8 @@ class GlScene:
         self._programs.tell(program, batch.material, translucent=run.translucent)
         if batch.texture >= 0:
             self._gl.glBindTextureUnit(0, self._memory.textures[batch.texture])
-        if batch.maps >= 0 and self._dressing is not None:
-            self._dressing.bind_maps(batch.maps)
+        if batch.maps >= 0 and self._material_maps is not None:
+            self._material_maps.bind_maps(batch.maps)
         self._gl.glUseProgram(program.number)
 
     def _draw_sky(self, features: tuple[Feature, ...]) -> None:
@@ -383,7 +383,7 @@ class GlScene:
     def close(self) -> None:
         """Frees everything; a second call does nothing."""
         buffers, self._buffers = self._buffers, []
-        for part in (self._lighting, self._dressing, self._shadow, self._memory, self._programs):
+        for part in (self._lighting, self._material_maps, self._shadow, self._memory, self._programs):
             if part is not None:
                 part.close()
         for buffer in buffers:

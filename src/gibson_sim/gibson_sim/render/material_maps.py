@@ -17,7 +17,7 @@ _NEUTRAL = ((255, 255, 255), (128, 128, 255), (255, 255, 255), (255, 255, 255))
 _EMISSION = 3
 
 
-class Dressing:
+class MaterialMaps:
     """Those textures on the GPU.
 
     Args:

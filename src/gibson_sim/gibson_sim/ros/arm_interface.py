@@ -41,7 +41,7 @@ class _Command(NamedTuple):
 
 
 class _Route(NamedTuple):
-    obey: Callable[[PhysicsWorld, Any], None]
+    apply: Callable[[PhysicsWorld, Any], None]
     joints: tuple[str, ...]
     """Those that its commands move."""
 
@@ -72,9 +72,9 @@ class ArmInterface:
 
     def __init__(self, node: Node, robot: RobotSpec, received: Callable[[str], None], now_ns: int) -> None:
         """Makes the topics; ``received`` is called with the topic of each command, ``now_ns`` is simulation time."""
-        self._node, self._robot, self._received, self._now_ns = node, robot, received, now_ns
-        self._commands: deque[_Command] = deque()
-        self._kept: deque[_Command] = deque()
+        self._node, self._robot, self._on_received, self._now_ns = node, robot, received, now_ns
+        self._received_commands: deque[_Command] = deque()
+        self._due_commands: deque[_Command] = deque()
         self._routes: dict[str, _Route] = {}
         self._subscriptions: list[Any] = []
         self._services: list[DeferredService] = []
@@ -115,7 +115,7 @@ class ArmInterface:
         gripper, joints = f"{prefix.replace('/', '_')}gripper", arm.gripper.joints
         command, grasp = names.controller(gripper, names.JOINT_COMMAND), f"{prefix}{names.GRASP}"
         self._listen(JointTrajectory, names.controller(gripper, names.JOINT_TRAJECTORY), partial(self._follow, joints), joints)
-        self._listen(JointState, command, partial(self._obey_joints, joints), joints)
+        self._listen(JointState, command, partial(self._apply_joints, joints), joints)
         self._listen(Bool, grasp, partial(self._grasp, arm.name), ())
         self._grasp_pubs[arm.name] = self._node.create_publisher(
             GraspState, self._topic(f"{prefix}{names.GRASP_STATE}"), **qos.overridable(qos.STATE)
@@ -134,55 +134,55 @@ class ArmInterface:
     def _resolved(self, name: str) -> str:
         return self._node.resolve_topic_name(self._topic(name))
 
-    def _listen(self, kind: type[Any], name: str, obey: Callable[[PhysicsWorld, Any], None], joints: tuple[str, ...]) -> None:
+    def _listen(self, kind: type[Any], name: str, apply: Callable[[PhysicsWorld, Any], None], joints: tuple[str, ...]) -> None:
         topic = self._resolved(name)
-        self._routes[topic] = _Route(obey, joints)
+        self._routes[topic] = _Route(apply, joints)
         self._subscriptions.append(
-            self._node.create_subscription(kind, self._topic(name), partial(self._take, topic), qos.COMMAND)
+            self._node.create_subscription(kind, self._topic(name), partial(self._on_command, topic), qos.COMMAND)
         )
 
     # Commands
 
-    def _take(self, topic: str, msg: Any) -> None:
-        self.give(topic, msg)
-        self._received(topic)
+    def _on_command(self, topic: str, msg: Any) -> None:
+        self.receive(topic, msg)
+        self._on_received(topic)
 
-    def give(self, topic: str, msg: Any) -> None:
-        """Takes a command for the next step, as if it had arrived on ``topic``."""
+    def receive(self, topic: str, msg: Any) -> None:
+        """Puts a command into the queue of those that were received, as if it had arrived on ``topic``."""
         self._put(_Command(topic, msg, None))
 
     def _send(self, topic: str, msg: Any, answer: Answer) -> None:
         self._put(_Command(topic, msg, answer))
 
     def _put(self, command: _Command) -> None:
-        while len(self._commands) >= _MOST_COMMANDS:
-            dropped = self._commands.popleft()
+        while len(self._received_commands) >= _MOST_COMMANDS:
+            dropped = self._received_commands.popleft()
             if dropped.answer is not None:
                 dropped.answer(None, "too many commands came before the next step; send fewer, or let time go on")
-        self._commands.append(command)
+        self._received_commands.append(command)
 
     def latch_commands(self) -> None:
-        """Keeps the commands that arrived until now for the next step; later ones are for the steps after it."""
-        self._kept.extend(self._commands)
-        self._commands.clear()
+        """Makes the commands that were received until now due at the next step; later ones are for the steps after it."""
+        self._due_commands.extend(self._received_commands)
+        self._received_commands.clear()
 
-    def take_commands(self, world: PhysicsWorld, journal: Journal) -> tuple[int, int]:
-        """Hands the commands that were kept to the world, in the order of their arrival, and notes them.
+    def apply_commands(self, world: PhysicsWorld, journal: Journal) -> tuple[int, int]:
+        """Applies the commands that are due to the world, in the order of their arrival, and notes them in the journal.
 
         Returns:
             How many there were, and how many were refused.
         """
         seen = refused = 0
-        while self._kept:
+        while self._due_commands:
             seen += 1
-            topic, message, answer = self._kept.popleft()
+            topic, message, answer = self._due_commands.popleft()
             journal.note(topic, message)
             problem = ""
             try:
                 route = self._routes[topic]
                 if answer is None:
                     self._give_way(route.joints)
-                route.obey(world, message)
+                route.apply(world, message)
             except (CommandError, PhysicsError) as error:
                 refused += 1
                 problem = str(error)
@@ -203,7 +203,7 @@ class ArmInterface:
             msg = JointTrajectory(joint_names=joints)
         world.command_joints(self._robot.name, conversions.joint_command_from_msg(msg))
 
-    def _obey_joints(self, joints: tuple[str, ...], world: PhysicsWorld, msg: JointState) -> None:
+    def _apply_joints(self, joints: tuple[str, ...], world: PhysicsWorld, msg: JointState) -> None:
         _check_joints(msg.name, joints)
         command = JointState(name=msg.name or joints, position=msg.position, velocity=msg.velocity, effort=msg.effort)
         world.command_joints(self._robot.name, conversions.joint_command_from_msg(command))
@@ -247,9 +247,9 @@ class ArmInterface:
 
     def reset(self) -> None:
         """Forgets commands and goals: the simulation was reset."""
-        dropped = (*self._kept, *self._commands)
-        self._commands.clear()
-        self._kept.clear()
+        dropped = (*self._due_commands, *self._received_commands)
+        self._received_commands.clear()
+        self._due_commands.clear()
         self._now_ns = 0
         for action in (*self._trajectories, *self._grippers):
             action.give_way(_RESET)

@@ -332,7 +332,7 @@ class PhysicsNode(Node):
                 robot = next((robot for robot in self._robots.values() if name in robot.command_topics), None)
                 try:
                     if robot is not None:
-                        robot.give(name, message)
+                        robot.receive(name, message)
                     elif self._standard is not None:
                         requested = True
                         self._standard.repeat(name, message)
@@ -347,7 +347,7 @@ class PhysicsNode(Node):
         assert world is not None, "steps are due in a world alone"
         self._stats.begin_step(now_ns, world.stamp_ns)
         for robot in self._robots.values():
-            robot.take_commands(world, self._journal)
+            robot.apply_commands(world, self._journal)
         self.simulator.step()
 
     def _end_step(self, stamp_ns: int) -> None:

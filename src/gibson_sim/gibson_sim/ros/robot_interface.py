@@ -81,13 +81,13 @@ class RobotInterface:
         self._publishers: list[Publisher] = []
         self._make_publishers()
         self.sensors = SensorSuite(robot, config.step_hz, config.publish_hz, world.scene.gravity, config.seed)
-        self._commands: deque[tuple[str, Any]] = deque(maxlen=qos.MOST_COMMANDS)
-        self._kept: deque[tuple[str, Any]] = deque(maxlen=qos.MOST_COMMANDS)
+        self._received_commands: deque[tuple[str, Any]] = deque(maxlen=qos.MOST_COMMANDS)
+        self._due_commands: deque[tuple[str, Any]] = deque(maxlen=qos.MOST_COMMANDS)
         self._applied: list[TwistStamped] = []
         self._last_state: list[tuple[Publisher, bytes]] = []
-        self._received = received
+        self._on_received = received
         self._subscriptions = [
-            node.create_subscription(kind, self._topic(name), partial(self._take, self._resolved(name)), qos.COMMAND)
+            node.create_subscription(kind, self._topic(name), partial(self._on_command, self._resolved(name)), qos.COMMAND)
             for kind, name in (
                 (TwistStamped if config.cmd_vel_type == "stamped" else Twist, names.CMD_VEL),
                 (JointTrajectory, names.JOINT_TRAJECTORY),
@@ -103,7 +103,7 @@ class RobotInterface:
         self.command_topics = own_topics | self._arms.command_topics
         self._stamped = stamped
         if stamped is not None:
-            self._stamped_subscription = stamped.subscribe(TwistStamped, self._topic(names.CMD_VEL), self._commands)
+            self._stamped_subscription = stamped.subscribe(TwistStamped, self._topic(names.CMD_VEL), self._received_commands)
         self._rates = {lidar.name: lidar.rate_hz for lidar in robot.sensors.lidars}
         self._imus: dict[str, FastImu] = {}
         self._rows_of = -1
@@ -116,16 +116,16 @@ class RobotInterface:
     def _resolved(self, name: str) -> str:
         return self._node.resolve_topic_name(self._topic(name))
 
-    def _take(self, topic: str, msg: Any) -> None:
-        self.give(topic, msg)
-        self._received(topic)
+    def _on_command(self, topic: str, msg: Any) -> None:
+        self.receive(topic, msg)
+        self._on_received(topic)
 
-    def give(self, topic: str, msg: Any) -> None:
-        """Takes a command for the next step, as if it had arrived on ``topic``."""
+    def receive(self, topic: str, msg: Any) -> None:
+        """Puts a command into the queue of those that were received, as if it had arrived on ``topic``."""
         if topic in self._arms.command_topics:
-            self._arms.give(topic, msg)
+            self._arms.receive(topic, msg)
         else:
-            self._commands.append((topic, msg))
+            self._received_commands.append((topic, msg))
 
     def topics_of_tick(self, measured: Measurements) -> set[str]:
         """Returns what was published at a tick at which this was measured; without a leading slash."""
@@ -184,26 +184,26 @@ class RobotInterface:
         return bool(sum(subscription.handle.get_publisher_count() for subscription in received) >= count)
 
     def latch_commands(self) -> None:
-        """Keeps the commands that arrived until now for the next step; later ones are for the steps after it."""
-        for _ in range(len(self._commands)):
-            self._kept.append(self._commands.popleft())
+        """Makes the commands that were received until now due at the next step; later ones are for the steps after it."""
+        for _ in range(len(self._received_commands)):
+            self._due_commands.append(self._received_commands.popleft())
         self._arms.latch_commands()
 
-    def take_commands(self, world: PhysicsWorld, journal: Journal) -> None:
-        """Hands the commands that were kept to the world, in the order of their arrival, and notes them."""
-        while self._kept:
+    def apply_commands(self, world: PhysicsWorld, journal: Journal) -> None:
+        """Applies the commands that are due to the world, in the order of their arrival, and notes them in the journal."""
+        while self._due_commands:
             self.commands_seen += 1
-            topic, msg = self._kept.popleft()
+            topic, msg = self._due_commands.popleft()
             journal.note(topic, msg)
             try:
-                self._obey(world, msg)
+                self._apply(world, msg)
             except CommandError as error:
                 self.refused_commands += 1
                 self._node.get_logger().warning(str(error), throttle_duration_sec=1.0)
-        seen, refused = self._arms.take_commands(world, journal)
+        seen, refused = self._arms.apply_commands(world, journal)
         self.commands_seen, self.refused_commands = self.commands_seen + seen, self.refused_commands + refused
 
-    def _obey(self, world: PhysicsWorld, msg: Any) -> None:
+    def _apply(self, world: PhysicsWorld, msg: Any) -> None:
         name, now = self.robot.name, world.stamp_ns
         if isinstance(msg, (JointTrajectory, JointState)):
             world.command_joints(name, conversions.joint_command_from_msg(msg))
@@ -340,8 +340,8 @@ class RobotInterface:
 
     def reset(self, step: int) -> None:
         """Forgets commands and what the sensors remember, after ``step`` steps of the world."""
-        self._commands.clear()
-        self._kept.clear()
+        self._received_commands.clear()
+        self._due_commands.clear()
         self._applied.clear()
         self._arms.reset()
         self.sensors.reset(step)
