@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pickle
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -108,6 +109,15 @@ def test_a_scene_that_was_loaded_and_a_robot_that_was_loaded_can_be_given() -> N
         (lambda sim: sim.command(linear=float("inf")), "holds a NaN or an infinity"),
         (lambda sim: sim.command(linear=0.1, robot="bob"), "no robot 'bob' in this simulation; there are: robot"),
         (lambda sim: sim.command_joints({"elbow": 1.0}), "'elbow'"),
+        (lambda sim: sim.command_joints([1.0]), "positions is .*, must map names of joints to radians or metres"),
+        (lambda sim: sim.command("0.3"), "linear is '0.3', must be a number"),
+        (lambda sim: sim.step("1"), "seconds is '1', must be a number"),
+        (lambda sim: sim.move("robot", (1.0, 2.0)), "position is .*, must be three numbers: x, y and z in metres"),
+        (lambda sim: sim.spawn("ball", "a b/c"), "name is 'a b/c', must be letters, digits and _"),
+        (lambda sim: sim.spawn("ball", None), "name is None, must be letters"),
+        (lambda sim: sim.spawn("ball", "map"), "and not 'map'"),
+        (lambda sim: sim.restore(None), "restore takes what save returned, not None"),
+        (lambda sim: setattr(sim, "light", {"sun": 1}), "light is .*, must be a LightSpec"),
         (lambda sim: sim.scan("radar"), "there is no lidar 'radar'; there are: scan"),
         (lambda sim: sim.reading("imux"), "has no sensor 'imux'; it has: scan, bumper, imu, battery_state"),
         (lambda sim: sim.reading("imu"), "sensor 'imu' of robot 'robot' has not measured yet: step first"),
@@ -126,11 +136,70 @@ def test_what_is_impossible_is_said_in_one_line_and_changes_nothing(call: object
         assert sim.save() == before
 
 
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        ({"seed": -1}, "seed is -1, must be 0 to"),
+        ({"seed": 1.5}, "seed is 1.5, must be a whole number, 0 or more"),
+        ({"step_hz": "240"}, "step_hz is '240', must be a number"),
+        ({"publish_hz": 0}, "publish_hz is 0, must be 1 Hz or more"),
+        ({"views": ["follow"]}, "views is .*, must be text such as 'follow,top'"),
+        ({"start": (1.0, 2.0)}, "start is .*, must be three numbers: x, y in metres and yaw in degrees"),
+        ({"cmd_vel_timeout": "1"}, "cmd_vel_timeout is '1', must be a number"),
+    ],
+)
+def test_impossible_arguments_are_refused_in_one_line(arguments: dict[str, Any], error: str) -> None:
+    with pytest.raises(gs.GibsonSimError, match=error):
+        gs.Simulation("flat", **arguments)
+
+
+def test_a_start_may_be_numbers_and_a_saved_run_fits_equal_arguments_alone() -> None:
+    with gs.Simulation("flat", start=(3.95, 1.75, 150.0)) as sim, gs.Simulation("flat", step_hz=480) as other:
+        assert sim.robot.pose.position[:2] == pytest.approx((3.95, 1.75), abs=1e-6)
+        assert sim.robot.yaw == pytest.approx(np.radians(150.0), abs=1e-6)
+        other.step(0.5)
+        with pytest.raises(gs.ConfigError, match="belongs to another simulation: scene, robots, step_hz and seed must be equal"):
+            other.restore(sim.save())
+        assert other.time == 0.5, "nothing has changed"
+
+
+def test_doors_are_found_and_opened_and_a_restored_run_has_its_light() -> None:
+    with gs.Simulation("linden_flat") as sim:
+        doors = {name: body.joints.names for name, body in sim.bodies.items() if name.endswith("_door")}
+        assert len(doors) >= 3
+        name, (hinge, *_) = next((name, joints) for name, joints in doors.items() if joints)
+        before = sim.bodies[name].joints.positions[0]
+        light = sim.light
+        sim.light = replace(light, sun=0.1)
+        saved = sim.save()
+        sim.command_joints({hinge: 0.3}, name)
+        sim.step(seconds=2.0)
+        assert sim.bodies[name].joints.positions[0] == pytest.approx(0.3, abs=0.05) != pytest.approx(before, abs=0.01)
+        sim.light = light
+        sim.restore(saved)
+        assert sim.light.sun == 0.1
+        assert sim.bodies[name].joints.positions[0] == pytest.approx(before, abs=1e-3)
+        sim.reset()
+        assert sim.light == light
+
+
+def test_a_robot_that_is_spawned_has_cameras_of_its_own_name() -> None:
+    with gs.Simulation("flat") as sim:
+        sim.spawn("gibson_bot", "second", (6.4, 3.3, 0.0), yaw=1.0)
+        assert [camera.name for camera in sim.cameras] == ["camera", "second/camera"]
+        assert repr(sim) == "<Simulation flat: 0.000 s, robots robot, second, 0 bodies>"
+        gone = sim.robots["second"]
+        sim.remove("second")
+        assert repr(gone) == "<Robot second: no longer there>"
+
+
 def test_after_its_end_it_says_so(tmp_path: Path) -> None:
     sim = gs.Simulation("flat")
     sim.close()
     sim.close()
-    with pytest.raises(gs.PhysicsError, match="closed"):
-        sim.step()
+    for use in (sim.step, sim.command, sim.save, sim.reset, lambda: sim.renderer, lambda: sim.render(), sim.__enter__):
+        with pytest.raises(gs.PhysicsError, match="closed"):
+            use()
+    assert repr(sim) == "<Simulation: closed>"
     with pytest.raises(gs.SceneNotFoundError, match="did you mean 'linden_flat'"):
         gs.Simulation("lindenflat")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import doctest
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -43,6 +44,54 @@ def test_what_is_spawned_moved_and_removed_is_seen_so() -> None:
         assert not np.array_equal(there, empty)
         assert not np.array_equal(moved, there)
         assert np.array_equal(sim.render("view_top", outputs=["rgb"]).rgb, empty)
+
+
+def test_numbers_of_labels_have_names_and_views_short_ones() -> None:
+    with gs.Simulation("flat", views="top") as sim:
+        sim.spawn("ball", "thing", (2.2, 4.7, 0.2))
+        frame = sim.render("top", outputs=["semantic", "instance"])
+        seen = {sim.semantic_classes[number] for number in np.unique(frame.semantic)}
+        assert {"ball", "floor", "wall"} <= seen
+        assert "thing" in {sim.instances[number] for number in np.unique(frame.instance)}
+
+
+def test_depth_has_the_noise_of_its_camera() -> None:
+    with gs.Simulation("flat") as sim:
+        (camera,) = sim.cameras
+        noisy = replace(camera, depth_noise=gs.DepthNoise(constant=0.05))
+        clean, rough = sim.render(camera, outputs="depth").depth, sim.render(noisy, outputs="depth").depth
+        near = np.isfinite(clean) & np.isfinite(rough)
+        assert (rough - clean)[near].std() == pytest.approx(0.05, rel=0.05)
+
+
+def test_earlier_states_are_those_of_the_same_things() -> None:
+    with gs.Simulation("flat") as sim:
+        earlier = sim.state
+        with pytest.raises(gs.ConfigError, match="optical flow needs an earlier state"):
+            sim.render(outputs="flow")
+        sim.spawn("ball", "thing", (2.2, 4.7, 0.2))
+        with pytest.raises(gs.ConfigError, match="take one from after the last spawn, remove or reset"):
+            sim.render(outputs="flow", previous=earlier)
+        with pytest.raises(gs.ConfigError, match=r"previous is .*, must be a state"):
+            sim.render(outputs="flow", previous="x")  # type: ignore[arg-type]
+
+
+def test_a_forked_process_is_told_that_it_cannot_draw() -> None:
+    with gs.Simulation("flat") as sim:
+        sim.render(outputs="rgb")
+        reading, writing = os.pipe()
+        child = os.fork()
+        if not child:
+            try:
+                sim.render(outputs="rgb")
+            except gs.RenderError as error:
+                os.write(writing, str(error).encode())
+            finally:
+                os._exit(0)
+        os.waitpid(child, 0)
+        os.close(writing)
+        assert b"belongs to the process that was forked" in os.read(reading, 1000)
+        os.close(reading)
 
 
 def test_light_can_be_changed_and_changed_back() -> None:

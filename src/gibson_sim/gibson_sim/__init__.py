@@ -13,9 +13,9 @@ What is listed in ``__all__`` is public: it changes only with an announcement in
 Simulation      scene, robots, physics, sensors and renderer in one process; ``Robot``, ``SavedRun`` and ``Scan`` come from it
 Renderer        draws a scene and its states: cameras of any kind, colour, depth, labels, normals, flow; needs no physics
 PhysicsWorld    physics alone: commands and time go in, poses come out
-load_scene, load_robot, list_scenes, list_robots, drawn_scene, camera_pose
+load_scene, load_robot, list_scenes, list_robots, list_objects, drawn_scene, camera_pose
 *Spec           what there is: scenes, robots, bodies, cameras, light
-SceneState, Frame, ...   what flows between them, frozen, with units in their docstrings
+SceneState, Frame, ...   what flows between them, frozen; ``Simulation.render`` says what a frame holds
 GibsonSimError  and its kinds: every error that is raised on purpose, one line each
 
 SI units and radians, frames of REP 103 and REP 105, quaternions (x, y, z, w). Importing this package executes nothing: neither PyBullet nor
@@ -24,18 +24,21 @@ OpenGL, ROS nor PyTorch is loaded before it is needed. The tutorial is docs/pyth
 
 from __future__ import annotations
 
+import difflib
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 __version__ = "0.1.0"
 
 _HOMES = {
-    "gibson_sim.simulation": ("Robot", "SavedRun", "Simulation"),
+    "gibson_sim.simulation": ("Body", "Robot", "SavedRun", "Simulation"),
     "gibson_sim.render.renderer": ("Renderer",),
     "gibson_sim.physics.world": ("PhysicsWorld",),
     "gibson_sim.resources": ("list_robots", "list_scenes"),
     "gibson_sim.scenes.load": ("load_scene",),
     "gibson_sim.scenes.robot_files": ("load_robot",),
+    "gibson_sim.scenes.spawnables": ("list_objects",),
+    "gibson_sim.scenes.spawning": ("SpawnError",),
     "gibson_sim.scenes.spec": ("DrawnScene", "LightSpec", "PointLight", "SceneSpec", "drawn_scene"),
     "gibson_sim.robots.spec": ("RobotSpec",),
     "gibson_sim.robots.body": ("BodySpec",),
@@ -66,29 +69,33 @@ if TYPE_CHECKING:
     from gibson_sim.robots.spec import RobotSpec
     from gibson_sim.scenes.load import load_scene
     from gibson_sim.scenes.robot_files import load_robot
+    from gibson_sim.scenes.spawnables import list_objects
+    from gibson_sim.scenes.spawning import SpawnError
     from gibson_sim.scenes.spec import DrawnScene, LightSpec, PointLight, SceneSpec, drawn_scene
     from gibson_sim.sensors.lidar import Scan
-    from gibson_sim.simulation import Robot, SavedRun, Simulation
+    from gibson_sim.simulation import Body, Robot, SavedRun, Simulation
     from gibson_sim.types import (
         OUTPUTS, CameraSpec, Contact, DepthNoise, Frame, ImageEffects, JointStates, Odometry, Pose, SceneState, VelocityCommand,
     )  # fmt: skip
 
 __all__ = [
-    "OUTPUTS", "BodySpec", "CameraSpec", "CommandError", "ConfigError", "Contact", "DepthNoise", "DrawnScene", "EnvironmentProblemError",
+    "OUTPUTS", "Body", "BodySpec", "CameraSpec", "CommandError", "ConfigError", "Contact", "DepthNoise", "DrawnScene", "EnvironmentProblemError",
     "Frame", "GibsonSimError", "GraphicsUnavailableError", "ImageEffects", "JointStates", "LightSpec", "MeshError", "Odometry",
     "PhysicsError", "PhysicsWorld", "PointLight", "Pose", "RenderError", "Renderer", "Robot", "RobotError", "RobotSpec", "SavedRun",
-    "Scan", "SceneError", "SceneMismatchError", "SceneNotFoundError", "SceneSpec", "SceneState", "Simulation", "StartError",
-    "VelocityCommand", "camera_pose", "drawn_scene", "list_robots", "list_scenes", "load_robot", "load_scene",
+    "Scan", "SceneError", "SceneMismatchError", "SceneNotFoundError", "SceneSpec", "SceneState", "Simulation", "SpawnError", "StartError",
+    "VelocityCommand", "camera_pose", "drawn_scene", "list_objects", "list_robots", "list_scenes", "load_robot", "load_scene",
 ]  # fmt: skip
 
 
 def __getattr__(name: str) -> object:
     """Loads a public name when it is first asked for."""
     if name not in _HOME_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        near = difflib.get_close_matches(name, __all__, n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
     value = globals()[name] = getattr(import_module(_HOME_OF[name]), name)
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return [*__all__, "__version__"]

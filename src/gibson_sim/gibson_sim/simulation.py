@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import logging
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
+
+import numpy as np
 
 from gibson_sim.config import PhysicsConfig
-from gibson_sim.errors import CommandError, ConfigError
+from gibson_sim.errors import CommandError, ConfigError, GibsonSimError, PhysicsError
 from gibson_sim.geometry.transforms import quat_from_rpy, yaw_from_quat
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.quoting import quoted
@@ -21,17 +24,31 @@ from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.floor_extent import extent_of_scene
 from gibson_sim.scenes.load import load_scene, with_robots
 from gibson_sim.scenes.load_views import read_views
-from gibson_sim.scenes.placement import place_robots, start_pose
+from gibson_sim.scenes.placement import in_namespace, place_robots, start_pose
 from gibson_sim.scenes.spawning import load_spawnable
 from gibson_sim.scenes.spec import DrawnScene, LightSpec, SceneSpec, drawn_scene
 from gibson_sim.scenes.view_links import Views
 from gibson_sim.sensors.battery import BatteryReading
 from gibson_sim.sensors.bumper import BumperReading
+from gibson_sim.sensors.depth_noise import apply_depth_noise
 from gibson_sim.sensors.imu import ImuReading
 from gibson_sim.sensors.lidar import Scan, measure_scan, noise_of
 from gibson_sim.sensors.suite import Measurements, SensorSuite
 from gibson_sim.settings import nearest
-from gibson_sim.types import CameraSpec, Contact, Frame, JointStates, Odometry, Output, Pose, SceneState, Vec3, VelocityCommand
+from gibson_sim.types import (
+    WORLD_FRAME,
+    CameraSpec,
+    Contact,
+    Frame,
+    JointStates,
+    Odometry,
+    Output,
+    Pose,
+    SceneState,
+    Vec3,
+    VelocityCommand,
+    check_seed,
+)
 
 if TYPE_CHECKING:
     from gibson_sim.render.renderer import Renderer
@@ -61,13 +78,47 @@ class SavedRun:
     """Physics steps since the beginning."""
     inputs: tuple[tuple[int, str, tuple[Any, ...]], ...]
     """(step, method, arguments) of each call that changed what happens."""
+    of: tuple[Any, ...] = ()
+    """Scene, robots and settings that it belongs to."""
 
 
-class Robot:
-    """One robot of a simulation: what is true of it now, in SI units, world frame unless told otherwise."""
+class Body:
+    """A robot or a thing of a simulation: what is true of it now, in SI units, world frame unless told otherwise."""
 
     def __init__(self, world: PhysicsWorld, name: str) -> None:
         self._world, self.name = world, name
+
+    @property
+    def pose(self) -> Pose:
+        """T_world_root: position, metres, and quaternion (x, y, z, w)."""
+        return self._world.body_pose(self.name)
+
+    @property
+    def yaw(self) -> float:
+        """Heading about the world's z axis, radians, counter-clockwise from x."""
+        return yaw_from_quat(self.pose.quat_xyzw)
+
+    @property
+    def joints(self) -> JointStates:
+        """Its moving joints: radians or metres, and per second; a door has one, a box none."""
+        return self._world.joint_states(self.name)
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """Where it touched anything in the last step, the floor under it included."""
+        return self._world.contacts(self.name)
+
+    def __repr__(self) -> str:
+        kind = type(self).__name__
+        try:
+            x, y, _ = self.pose.position
+            return f"<{kind} {self.name}: x {x:.3f} m, y {y:.3f} m, yaw {math.degrees(self.yaw):.1f} deg>"
+        except GibsonSimError:
+            return f"<{kind} {self.name}: no longer there>"
+
+
+class Robot(Body):
+    """One robot of a simulation: what is true of it now, in SI units, world frame unless told otherwise."""
 
     @property
     def spec(self) -> RobotSpec:
@@ -80,11 +131,6 @@ class Robot:
         return self._world.base_pose(self.name)
 
     @property
-    def yaw(self) -> float:
-        """Heading about the world's z axis, radians, counter-clockwise from x."""
-        return yaw_from_quat(self.pose.quat_xyzw)
-
-    @property
     def twist(self) -> tuple[Vec3, Vec3]:
         """Linear (m/s) and angular (rad/s) velocity of the base, in the BASE frame."""
         return self._world.base_twist(self.name)
@@ -93,20 +139,6 @@ class Robot:
     def odometry(self) -> Odometry:
         """What its wheels say, in the odom frame; differs from ``pose`` where wheels slip or have errors."""
         return self._world.odometry(self.name)
-
-    @property
-    def joints(self) -> JointStates:
-        """Its moving joints: radians or metres, and per second."""
-        return self._world.joint_states(self.name)
-
-    @property
-    def contacts(self) -> tuple[Contact, ...]:
-        """Where it touched anything in the last step, the floor under its wheels included."""
-        return self._world.contacts(self.name)
-
-    def __repr__(self) -> str:
-        x, y, _ = self.pose.position
-        return f"<Robot {self.name}: x {x:.3f} m, y {y:.3f} m, yaw {math.degrees(self.yaw):.1f} deg>"
 
 
 class Simulation:
@@ -130,7 +162,7 @@ class Simulation:
         scene: str | Path | SceneSpec = _DEFAULTS.scene,
         robot: str | Path | RobotSpec | None = _DEFAULTS.robot,
         *,
-        start: str = "",
+        start: str | Sequence[float] = "",
         seed: int = 0,
         step_hz: int = _DEFAULTS.step_hz,
         publish_hz: int | None = None,
@@ -144,27 +176,43 @@ class Simulation:
         Args:
             scene: name, folder, world or mesh file, as ``gibson-sim run --scene`` takes it; or a scene that was loaded, whose robots stay.
             robot: name, file or spec; several as ``left=gibson_bot,right=gibson_bot``; None = no robot but the scene's own.
-            start: name of a start pose, or ``x,y,yaw_deg``; of several robots separated by ``;``. Empty = the scene's first.
+            start: name of a start pose (``scene.starts``), or ``x,y,yaw_deg`` as text or numbers; of several robots as text, separated by
+                ``;``. Empty = the scene's first.
             seed: of the errors of all sensors and of odometry, 0 or more.
             step_hz: physics steps in a second of simulation time.
             publish_hz: rate of the ticks at which bumpers measure, Hz; must divide ``step_hz``. None = 60, or ``step_hz`` where 60 does not
                 divide it.
             cmd_vel_timeout: seconds of simulation time after which a velocity command no longer counts, as on a real robot; None = it
                 counts until the next one.
-            views: chase cameras beside those of the robots, such as ``follow,top,orbit``, or a file of cameras.
+            views: chase cameras beside those of the robots, such as ``follow,top,orbit``, or a file of cameras; ``render`` takes ``follow``
+                or ``view_follow`` as the name of one.
             view_size: width and height of views, pixels.
             device: EGL device that draws, a number or a UUID as ``gibson-sim doctor`` lists them; None = a GPU if one works, else software.
 
         Raises:
             GibsonSimError: scene, robot or a setting cannot be used; the message says which value, what is allowed and what to do.
         """
+        if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
+            raise ConfigError(f"seed is {quoted(seed)}, must be a whole number, 0 or more")
+        check_seed("simulation", int(seed))
+        for what, value in (("step_hz", step_hz), ("publish_hz", publish_hz), ("cmd_vel_timeout", cmd_vel_timeout)):
+            if value is not None:
+                _number(what, value)
+        if not isinstance(views, str):
+            raise ConfigError(f"views is {quoted(views)}, must be text such as 'follow,top'")
+        start = (
+            start if isinstance(start, str) else ",".join(map(str, _numbers("start", start, "x, y in metres and yaw in degrees")))
+        )
         loaded = scene if isinstance(scene, SceneSpec) else load_scene(scene)
         if isinstance(robot, RobotSpec):
             loaded = with_robots(loaded, [replace(robot, start=start_pose(loaded, robot, start))])
         elif robot is not None and str(robot):
             loaded = place_robots(loaded, str(robot), start)
         self._initial, self._seed, self._device = loaded, seed, device
-        self._tick_hz = publish_hz or (_DEFAULTS.publish_hz if step_hz % _DEFAULTS.publish_hz == 0 else step_hz)
+        if publish_hz is not None and publish_hz < 1:
+            raise ConfigError(f"publish_hz is {publish_hz}, must be 1 Hz or more and divide step_hz")
+        usual = _DEFAULTS.publish_hz if step_hz % _DEFAULTS.publish_hz == 0 else step_hz
+        self._tick_hz = usual if publish_hz is None else publish_hz
         self._wanted_views = read_views(views, view_size)
         self._renderer: Renderer | None = None
         self._loaded: DrawnScene | None = None
@@ -176,6 +224,7 @@ class Simulation:
         """Whether a robot's sensor of a name measures as time passes."""
         self._readings: dict[tuple[str, str], Reading] = {}
         self._inputs: list[tuple[int, str, tuple[Any, ...]]] = []
+        self._closed = False
         timeout = _NEVER_S if cmd_vel_timeout is None else cmd_vel_timeout
         self.world = PhysicsWorld(loaded, step_hz=step_hz, cmd_vel_timeout=timeout, seed=seed)
         """Physics itself, for all that is not here: grasping, rays, joint efforts, attachments."""
@@ -196,6 +245,21 @@ class Simulation:
     def robots(self) -> Mapping[str, Robot]:
         """The robots by name, in their order."""
         return {robot.name: Robot(self.world, robot.name) for robot in self.world.scene.robots}
+
+    @property
+    def bodies(self) -> Mapping[str, Body]:
+        """Doors, chairs and all other things that are no robots, by name; ``command_joints`` moves the joints of those that have any."""
+        return {body.name: Body(self.world, body.name) for body in self.world.scene.bodies}
+
+    @property
+    def semantic_classes(self) -> tuple[str, ...]:
+        """Class of each number in ``Frame.semantic``, in their order; numbers change when something of a new class is spawned."""
+        return self._drawn_now()[0].semantic_classes
+
+    @property
+    def instances(self) -> tuple[str, ...]:
+        """What each number in ``Frame.instance`` is: a static thing or a body, by name; 0 = nothing."""
+        return self._drawn_now()[0].instances
 
     @property
     def robot(self) -> Robot:
@@ -223,7 +287,7 @@ class Simulation:
 
     # Time
 
-    def step(self, *, seconds: float | None = None, steps: int | None = None) -> SceneState:
+    def step(self, seconds: float | None = None, *, steps: int | None = None) -> SceneState:
         """Lets simulation time pass, and returns the state at its end. Sensors measure when they are due, at each physics step.
 
         Args:
@@ -246,6 +310,9 @@ class Simulation:
     def _steps(self, seconds: float | None, steps: int | None) -> int:
         if seconds is not None and steps is not None:
             raise ConfigError(f"step takes seconds ({seconds:g}) or steps ({steps}), not both")
+        for what, value in (("seconds", seconds), ("steps", steps)):
+            if value is not None:
+                _number(what, value)
         wanted = float(1 if steps is None else steps) if seconds is None else seconds * self.world.step_hz
         if not (math.isfinite(wanted) and wanted >= 0 and abs(wanted - round(wanted)) < 1e-6):
             given = f"{steps} steps" if seconds is None else f"{seconds:g} s, {wanted:g} steps of 1/{self.world.step_hz} s"
@@ -263,6 +330,7 @@ class Simulation:
         for body in self._initial.bodies:
             world.add_body(body)
         world.set_step_count(0)
+        self._light = self._initial.light
         self._inputs.clear()
         self._suites.clear()
         self._readings.clear()
@@ -271,7 +339,8 @@ class Simulation:
 
     def save(self) -> SavedRun:
         """Returns this moment, for ``restore``: what was done since the beginning, a few numbers for each call."""
-        return SavedRun(self.world.step_count, tuple(self._inputs))
+        self._check_open()
+        return SavedRun(self.world.step_count, tuple(self._inputs), self._identity())
 
     def restore(self, saved: SavedRun) -> SceneState:
         """Goes back, or forward, to a saved moment, exactly: contacts, what joints and motors remember, errors of sensors.
@@ -280,7 +349,14 @@ class Simulation:
 
         Args:
             saved: of this simulation, or of one with equal arguments.
+
+        Raises:
+            ConfigError: it is of another scene, robot or setting; nothing has changed.
         """
+        if not isinstance(saved, SavedRun):
+            raise ConfigError(f"restore takes what save returned, not {quoted(saved)}")
+        if saved.of != self._identity():
+            raise ConfigError("what was saved belongs to another simulation: scene, robots, step_hz and seed must be equal")
         self.reset()
         for step, method, arguments in saved.inputs:
             self.step(steps=step - self.world.step_count)
@@ -301,22 +377,28 @@ class Simulation:
         Raises:
             CommandError: a number is not finite, or the robot is not there or has no drive.
         """
+        self._check_open()
         name = self._robot_name(robot)
+        linear, angular, lateral = _number("linear", linear), _number("angular", angular), _number("lateral", lateral)
         velocity = VelocityCommand((linear, lateral, 0.0), (0.0, 0.0, angular), self.world.stamp_ns)
         self.world.command(name, velocity)
         self._inputs.append((self.world.step_count, "command", (linear, angular, lateral, name)))
 
-    def command_joints(self, positions: Mapping[str, float], robot: str | None = None) -> None:
+    def command_joints(self, positions: Mapping[str, float], name: str | None = None) -> None:
         """Moves joints of a robot, or of a body such as a door, to positions, as fast as their limits allow.
 
         Args:
             positions: joint name -> radians or metres.
-            robot: name of the robot or the body; None = the first robot.
+            name: of the robot or the body; None = the first robot.
 
         Raises:
             CommandError: there is no such robot, body or joint, or it cannot move there.
         """
-        name = robot if robot is not None else self._robot_name(None)
+        self._check_open()
+        name = name if name is not None else self._robot_name(None)
+        if not isinstance(positions, Mapping):
+            raise ConfigError(f"positions is {quoted(positions)}, must map names of joints to radians or metres")
+        positions = {str(joint): _number(f"position of {quoted(joint)}", value) for joint, value in positions.items()}
         self.world.command_joints(name, JointPositions(tuple(positions.values()), tuple(positions)))
         self._inputs.append((self.world.step_count, "command_joints", (dict(positions), name)))
 
@@ -324,8 +406,8 @@ class Simulation:
         """Puts a thing or a robot into the scene.
 
         Args:
-            uri: name of one of our objects or robots (``gibson-sim scene objects`` lists them), or a URDF, SDF, robot.yaml or mesh file.
-            name: what it is called from now on.
+            uri: name of one of our objects (``gibson_sim.list_objects``) or robots, or a URDF, SDF, robot.yaml or mesh file.
+            name: what it is called from now on: letters, digits and _, a letter first. Cameras of a robot are called ``<name>/<camera>``.
             position: of its root link, metres, world frame.
             yaw: about the world's z axis, radians.
 
@@ -333,7 +415,10 @@ class Simulation:
             SceneError: it cannot be read; the message names the file and what is wrong.
             PhysicsError: the name is taken, or a robot would stand inside of something.
         """
-        self._place(load_spawnable(str(uri), "", name=name, pose=_upright(position, yaw)))
+        if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z]\w*", name, re.ASCII) or name == WORLD_FRAME:
+            raise ConfigError(f"name is {quoted(name)}, must be letters, digits and _, a letter first, and not {WORLD_FRAME!r}")
+        spec = load_spawnable(str(uri), "", name=name, pose=_upright(position, yaw))
+        self._place(in_namespace(spec, name) if isinstance(spec, RobotSpec) else spec)
         self._inputs.append((self.world.step_count, "spawn", (uri, name, position, yaw)))
 
     def move(self, name: str, position: Vec3, yaw: float = 0.0) -> None:
@@ -372,8 +457,9 @@ class Simulation:
         Raises:
             ConfigError: the robot has no such lidar.
         """
-        spec = self._one_of(self.robots[self._robot_name(robot)].spec.sensors.lidars, lidar, "lidar")
+        self._check_open()
         name = self._robot_name(robot)
+        spec = self._one_of(self.robots[name].spec.sensors.lidars, lidar, "lidar")
         return measure_scan(spec, self.world.state_of(name), self.world.cast_rays, noise_of(name, spec, self._seed))
 
     def reading(self, sensor: str, robot: str | None = None) -> Reading:
@@ -404,7 +490,14 @@ class Simulation:
 
     @light.setter
     def light(self, light: LightSpec) -> None:
+        self._set_light(light)
+
+    def _set_light(self, light: LightSpec) -> None:
+        self._check_open()
+        if not isinstance(light, LightSpec):
+            raise ConfigError(f"light is {quoted(light)}, must be a LightSpec: dataclasses.replace(sim.light, sun=0.2)")
         self._light = light
+        self._inputs.append((self.world.step_count, "_set_light", (light,)))
 
     @property
     def renderer(self) -> Renderer:
@@ -422,15 +515,19 @@ class Simulation:
 
         Args:
             camera: name of a camera or a view, or a camera of your own; empty = the first one.
-            outputs: what to draw (``gibson_sim.OUTPUTS``): rgb, depth, semantic, instance, normal, normal_world, position, flow; None = as
-                the camera's file says.
-            previous: an earlier state, for optical flow and motion blur.
+            outputs: what to draw, one or several of ``gibson_sim.OUTPUTS``; None = as the camera's file says.
+            previous: an earlier state, which ``flow`` needs; with it, cameras with a shutter have motion blur.
 
         Returns:
-            The frame: arrays by output, row 0 at the top, depth in metres along the optical axis; ``stamp_ns`` is that of the state.
+            The frame. Row 0 is the top; H, W are the camera's. ``rgb`` (H, W, 3) uint8, sRGB. ``depth`` (H, W) float32, metres along the
+            optical axis, +inf = nothing, with the camera's ``depth_noise``. ``semantic``, ``instance`` (H, W) uint16: numbers in
+            ``semantic_classes`` and ``instances``. ``normal`` (H, W, 3) float32, optical frame (x right, y down, z forward), and
+            ``normal_world``. ``position`` (H, W, 3) float32, world frame, metres, NaN = nothing. ``flow`` (H, W, 2) float32, pixels right
+            and down since ``previous``. What was not asked for is None. ``stamp_ns`` is that of the state; ``T_world_camera`` (4, 4) takes
+            the optical frame to the world.
 
         Raises:
-            ConfigError: there is no such camera or output.
+            ConfigError: there is no such camera or output, or ``flow`` has no previous state.
             RenderError: nothing here can draw.
         """
         return self.render_all([camera], outputs, previous)[0]
@@ -443,7 +540,8 @@ class Simulation:
     ) -> list[Frame]:
         """Returns a frame of each camera, drawn side by side, which is quicker than one by one. No cameras = all. See ``render``."""
         renderer, state, wanted, before = self._picture(cameras, outputs, previous)
-        return renderer.render(state, wanted, before)
+        frames = renderer.render(state, wanted, before)
+        return [apply_depth_noise(frame, frame.camera.depth_noise) for frame in frames]
 
     def render_tensors(
         self,
@@ -451,7 +549,8 @@ class Simulation:
         outputs: Sequence[Output] | None = None,
         previous: SceneState | None = None,
     ) -> list[TensorFrame]:
-        """Returns the frames as PyTorch tensors: on the GPU that drew them where CUDA has it, else on the CPU. See ``render_all``.
+        """Returns the frames as PyTorch tensors: on the GPU that drew them where CUDA has it, else on the CPU. Without depth noise; see
+        ``render_all``.
 
         Raises:
             ConfigError: PyTorch is not installed, or there is no such camera.
@@ -461,18 +560,40 @@ class Simulation:
 
     def close(self) -> None:
         """Frees engine and renderer; a second call does nothing."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
-        self.world.close()
+        self._closed = True
+        renderer, self._renderer = self._renderer, None
+        try:
+            if renderer is not None:
+                renderer.close()
+        finally:
+            self.world.close()
+
+    def __repr__(self) -> str:
+        if self._closed:
+            return "<Simulation: closed>"
+        scene = self.world.scene
+        return (
+            f"<Simulation {scene.name}: {self.time:.3f} s, robots {', '.join(self.robots) or 'none'}, {len(scene.bodies)} bodies>"
+        )
 
     def __enter__(self) -> Simulation:
+        self._check_open()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.close()
 
     # Inside
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise PhysicsError("this simulation is closed; make a new one")
+
+    def _identity(self) -> tuple[Any, ...]:
+        """Returns what a saved run depends on beside its inputs."""
+        scene = self._initial
+        robots = tuple((robot.name, str(robot.urdf), robot.start) for robot in scene.robots)
+        return scene.name, scene.content_hash, robots, self.world.step_hz, self._tick_hz, self._seed
 
     def _robot_name(self, name: str | None) -> str:
         names = [robot.name for robot in self.world.scene.robots]
@@ -507,6 +628,7 @@ class Simulation:
 
     def _drawn_now(self) -> tuple[DrawnScene, Views]:
         """Returns the scene with its views as it is to be drawn now; made anew only where something changed."""
+        self._check_open()
         world = self.world
         if self._drawn is None or self._drawn[0] != world.scene.revision or self._drawn[1] is not self._light:
             robot = next((robot.name for robot in world.scene.robots), "")
@@ -536,11 +658,28 @@ class Simulation:
         self, cameras: Sequence[str | CameraSpec], outputs: Sequence[Output] | None, previous: SceneState | None
     ) -> tuple[Renderer, SceneState, list[CameraSpec], SceneState | None]:
         drawn, views = self._drawn_now()
-        wanted = [self._one_of(drawn.cameras, c, "camera") if isinstance(c, str) else c for c in cameras] or list(drawn.cameras)
+        if isinstance(cameras, (str, CameraSpec)) or not isinstance(cameras, Sequence):
+            raise ConfigError(f"cameras is {quoted(cameras)}, must be a list of names or cameras; `render` takes a single one")
+        wanted = [self._camera(drawn.cameras, camera) for camera in cameras] or list(drawn.cameras)
         if outputs is not None:
-            wanted = [replace(camera, outputs=tuple(outputs)) for camera in wanted]
+            asked = cast("tuple[Output, ...]", (outputs,) if isinstance(outputs, str) else tuple(outputs))
+            wanted = [replace(camera, outputs=asked) for camera in wanted]
+        if previous is not None and not isinstance(previous, SceneState):
+            raise ConfigError(f"previous is {quoted(previous)}, must be a state: what `step` returned, or `sim.state`")
+        if previous is not None and previous.links != self.world.links:
+            raise ConfigError("previous is a state with other things in it: take one from after the last spawn, remove or reset")
+        if previous is None and any("flow" in camera.outputs for camera in wanted):
+            raise ConfigError("optical flow needs an earlier state: render(..., previous=state)")
         before = None if previous is None else views.extended(previous)
         return self._renderer_of(drawn), views.extended(self.world.state()), wanted, before
+
+    def _camera(self, known: Sequence[CameraSpec], camera: str | CameraSpec) -> CameraSpec:
+        if isinstance(camera, CameraSpec):
+            return camera
+        if not isinstance(camera, str):
+            raise ConfigError(f"camera is {quoted(camera)}, must be the name of one or a CameraSpec")
+        views = {one.name for one in known}
+        return self._one_of(known, f"view_{camera}" if camera not in views and f"view_{camera}" in views else camera, "camera")
 
     @staticmethod
     def _one_of(known: Sequence[T], name: str, what: str) -> T:
@@ -556,7 +695,22 @@ class Simulation:
 
 
 def _upright(position: Vec3, yaw: float) -> Pose:
-    return Pose((float(position[0]), float(position[1]), float(position[2])), quat_from_rpy(0.0, 0.0, yaw))
+    x, y, z = _numbers("position", position, "x, y and z in metres")
+    return Pose((x, y, z), quat_from_rpy(0.0, 0.0, _number("yaw", yaw)))
+
+
+def _number(what: str, value: Any) -> float:
+    """Returns a number, or raises ConfigError: text, None and arrays are none."""
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise ConfigError(f"{what} is {quoted(value)}, must be a number")
+    return float(value)
+
+
+def _numbers(what: str, values: Any, meaning: str) -> tuple[float, float, float]:
+    if isinstance(values, str) or not isinstance(values, (Sequence, np.ndarray)) or len(values) != 3:
+        raise ConfigError(f"{what} is {quoted(values)}, must be three numbers: {meaning}")
+    first, second, third = (_number(what, value) for value in values)
+    return first, second, third
 
 
 def _all_but(names: frozenset[str]) -> Callable[[str], bool]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -83,7 +84,7 @@ class Renderer:
         self._pixel_buffers: PixelBuffers | None = None
         self._tensors: Tensors | None = None
         self._drawing: Drawing | None = None
-        self._thread = threading.get_ident()
+        self._thread, self._process = threading.get_ident(), os.getpid()
         if isinstance(scene, SceneSpec):
             allowed_roots = scene_roots(scene) if allowed_roots is None else allowed_roots
             scene = drawn_scene(replace(scene, robots=(), bodies=()), ())
@@ -262,6 +263,8 @@ class Renderer:
     def _check_usable(self) -> None:
         if self._drawing is None or self._context is None:
             raise RenderError("the renderer is closed; make a new one")
+        if os.getpid() != self._process:
+            raise RenderError("the renderer belongs to the process that was forked: make one here, or start processes by `spawn`")
         if threading.get_ident() != self._thread:
             raise RenderError("the renderer belongs to the thread that made it; draw there, or make one for each thread")
 

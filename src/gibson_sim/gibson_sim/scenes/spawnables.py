@@ -10,7 +10,7 @@ from pathlib import Path
 from gibson_sim.errors import RobotError, SceneNotFoundError, TextError
 from gibson_sim.quoting import clipped, quoted
 from gibson_sim.reading import exists, is_file, is_folder, parse_xml, read_head
-from gibson_sim.resources import share_folders
+from gibson_sim.resources import list_robots, share_folders
 from gibson_sim.robots.load import ROBOT_FILE, load_robot
 from gibson_sim.scenes.mesh import MESH_SUFFIXES
 from gibson_sim.scenes.sources import Search, path_of, walk
@@ -46,6 +46,11 @@ def own_spawnables(only: str = "") -> dict[str, Path]:
                 if not entry.name.startswith((".", "_")) and _kind(entry):
                     found.setdefault(entry.stem if is_file(entry) else entry.name, entry)
     return dict(sorted(found.items())) if not only else {name: path for name, path in found.items() if name == only}
+
+
+def list_objects() -> list[str]:
+    """Returns the names of our objects, which ``spawn`` takes, in alphabetical order; robots are not among them."""
+    return sorted(set(own_spawnables()) - set(list_robots()))
 
 
 def find_spawnables(sources: Sequence[str]) -> tuple[Spawnable, ...]:
