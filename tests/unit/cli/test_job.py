@@ -100,6 +100,17 @@ def test_time_ends_before_the_recorder_does(tmp_path: Path, monkeypatch: pytest.
     assert Played.stopped == ("physics", "record", "render")
 
 
+def test_bag_of_a_recorder_that_was_killed_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(node: Played, **_: Any) -> int:
+        if node.name == "render":
+            (tmp_path / "bag").mkdir()
+        return 0
+
+    monkeypatch.setattr(Played, "stop", stop)
+    _run(tmp_path, monkeypatch, "--drive", "square", drive=0)
+    assert (tmp_path / "bag").is_dir(), "it left no note of what it recorded"
+
+
 @pytest.mark.parametrize(("simulated", "code"), [(0.0, 130), (1.5, 0)])
 def test_ctrl_c_before_time_begins_is_an_interruption_and_leaves_no_empty_bag(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, simulated: float, code: int

@@ -7,7 +7,10 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.cli.main import main
+from gibson_sim.cli.names import check_names
 from gibson_sim.client_config import DRIVES, TASK_NAMES, TaskConfig
+from gibson_sim.config import PhysicsConfig
+from gibson_sim.errors import SceneError
 from gibson_sim.robots.path_tracking import scripted_drive
 from gibson_sim.tasks.registry import TASKS
 
@@ -125,3 +128,12 @@ def test_the_names_that_options_know_are_those_that_exist() -> None:
     assert set(TaskConfig.__dataclass_fields__["baseline"].metadata["choices"]) == known
     for name in set(DRIVES) - {"tour", "keyboard"}:
         assert scripted_drive(name).duration > 0.0
+
+
+def test_drake_directives_with_tags_of_their_own_are_no_mistake(tmp_path: Path) -> None:
+    directives = tmp_path / "room.dmd.yaml"
+    directives.write_text("directives:\n- add_weld: {parent: world, child: a, X_PC: {rotation: !Rpy {deg: [0, 0, 90]}}}\n")
+    check_names(PhysicsConfig(scene=str(tmp_path)))
+    directives.write_text("directives: [")
+    with pytest.raises(SceneError, match=r"room\.dmd\.yaml: is not YAML"):
+        check_names(PhysicsConfig(scene=str(directives)))

@@ -189,7 +189,8 @@ class JobRun:
         self._attempt(lambda: write_json(self._job.summary, {**found, "render_restarts": self._restarts.total}))
         if self._job.video and found["record"].get("messages"):
             self._attempt(self._write_pictures)
-        empty = "record" in self._job.configs and not any(found["record"].get("messages", {}).values())
+        recorded = found["record"].get("messages")  # of a recorder that was killed nothing is known: its bag can be mended
+        empty = recorded is not None and not any(recorded.values())
         if self._job.bag and (empty or not self._job.keep_bag):
             shutil.rmtree(self._job.bag, ignore_errors=True)
 

@@ -29,12 +29,15 @@ def check_names(config: Any) -> None:
 def _check_scene(name: str) -> None:
     """Finds a scene, and looks whether its file is YAML or XML: what it says takes as long to read as the scene takes to load."""
     from gibson_sim.reading import parse_xml, read_file, read_yaml_file
+    from gibson_sim.scenes.drake_directives import parse_directives
     from gibson_sim.scenes.load import description_file
 
     path = find_scene(name)
     file = description_file(path)
     try:
-        if file.suffix in (".yaml", ".yml"):
+        if file.name.lower().endswith((".dmd.yaml", ".dmd.yml")):
+            parse_directives(read_file(file))
+        elif file.suffix in (".yaml", ".yml"):
             read_yaml_file(file)
         elif file.suffix.lower() in (".sdf", ".world"):
             parse_xml(read_file(file))

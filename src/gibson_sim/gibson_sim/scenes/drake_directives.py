@@ -35,6 +35,11 @@ def _tagged(loader: _Loader, suffix: str, node: yaml.Node) -> dict[str, Any]:
 _Loader.add_multi_constructor("!", _tagged)
 
 
+def parse_directives(text: bytes) -> Any:
+    """Returns what a file of Drake's model directives holds, its own tags as mappings; TextError as ``parse_yaml``."""
+    return parse_yaml(text, _Loader)
+
+
 def read_drake_directives(builder: SceneBuilder, path: Path) -> None:
     """Puts all models of a directives file into the builder.
 
@@ -42,7 +47,7 @@ def read_drake_directives(builder: SceneBuilder, path: Path) -> None:
         SceneError: the file is no directives file.
     """
     try:
-        document = parse_yaml(builder.read_bytes(path), _Loader)
+        document = parse_directives(builder.read_bytes(path))
     except TextError as e:
         raise SceneError(f"{path}: {e}").telling(e.public) from e
     directives = document.get("directives") if isinstance(document, dict) else None
