@@ -79,3 +79,13 @@ def test_row_that_is_no_message_is_refused(messages: Any, tmp_path: Path) -> Non
     with pytest.raises(RecordError) as error, BagReader(tmp_path / "bag") as reader:
         list(reader.messages())
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("wrong", [("name: /odom", "name: 7"), ("message_count: 11", "message_count: eleven")])
+def test_metadata_with_values_of_the_wrong_kind_is_refused(write_drive: Callable[..., Path], wrong: tuple[str, str]) -> None:
+    bag = write_drive()
+    text = (bag / "metadata.yaml").read_text()
+    assert wrong[0] in text, text
+    (bag / "metadata.yaml").write_text(text.replace(*wrong))
+    with pytest.raises(RecordError), BagReader(bag):
+        pass

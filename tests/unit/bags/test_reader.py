@@ -106,6 +106,14 @@ def test_sixteen_bit_depth_in_big_endian_is_turned(messages: Any) -> None:
     assert image_to_array(message).tolist() == [[0x0201]]
 
 
+@pytest.mark.parametrize("side", ["width", "height"])
+def test_image_without_pixels_is_an_error(messages: Any, side: str) -> None:
+    message = _image(messages, 0, np.zeros((2, 3), dtype=np.uint8), "mono8")
+    setattr(message, side, 0)
+    with pytest.raises(RecordError, match="has no pixels"):
+        image_to_array(message)
+
+
 def test_short_image_is_an_error(messages: Any) -> None:
     message = _image(messages, 0, np.zeros((2, 3), dtype=np.uint8), "mono8")
     message.data = message.data[:-1]

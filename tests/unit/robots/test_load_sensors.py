@@ -131,6 +131,7 @@ def test_mistake_is_named(load: Load, text: str, match: str) -> None:
         (LidarSpec, {"resolution": math.nan}, "resolution is nan"),
         (LidarSpec, {"dropout": 1.1}, "dropout is 1.1, must be 0 to 1"),
         (LidarSpec, {"rate_hz": 0.0}, "rate_hz is 0"),
+        (LidarSpec, {"rate_hz": 1e-300}, "rate_hz is 1e-300"),
         (LidarSpec, {"seed": -1}, "seed is -1"),
         (Lidar3DSpec, {"channels": 0}, "channels is 0"),
         (Lidar3DSpec, {"channels": 10_000, "samples": 1000}, "at most 1000000 rays"),

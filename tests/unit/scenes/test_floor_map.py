@@ -156,3 +156,4 @@ def test_scene_too_large_for_memory_gets_coarser_cells(monkeypatch: pytest.Monke
 def test_map_of_things_kilometres_apart_takes_no_gigabyte() -> None:
     assert floor_map._affordable(0.05, np.array([2000.0, 2000.0])) >= 1.0
     assert floor_map._affordable(0.05, np.array([90.0, 90.0])) == 0.05
+    assert floor_map._affordable(0.05, np.array([1e5, 0.1])) == 5.0  # few cells, and yet a row of two million

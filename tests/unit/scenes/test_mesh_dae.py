@@ -147,3 +147,11 @@ def test_other_xml_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.dae").write_text("<sdf/>")
     with pytest.raises(MeshError, match="COLLADA"):
         load_mesh(tmp_path / "a.dae", [tmp_path])
+
+
+@pytest.mark.parametrize("accessor", ['stride="0"', 'stride="-3"', 'stride="3" offset="10"'])
+def test_accessor_that_leads_nowhere_is_refused(tmp_path: Path, accessor: str) -> None:
+    path = _write(tmp_path / "meshes" / "a.dae")
+    path.write_text(path.read_text().replace('stride="3"', accessor))
+    with pytest.raises(MeshError, match="has stride"):
+        load_mesh(path, [tmp_path])

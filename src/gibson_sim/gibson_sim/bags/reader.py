@@ -77,6 +77,14 @@ class BagReader:
                 f"bag {self.folder} cannot be read ({_reason(error)}); if its recording was cut off, "
                 f"run `gibson-sim bag repair {self.folder}`"
             ) from error
+        # rosbags takes what stands in metadata.yaml as it is.
+        kinds = ((c.topic, c.msgtype, c.msgcount) for c in reader.connections)
+        if not all(isinstance(topic, str) and isinstance(kind, str) and isinstance(count, int) for topic, kind, count in kinds):
+            reader.close()
+            raise RecordError(
+                f"bag {self.folder}: metadata.yaml has topics whose names, types or counts are of the wrong kind; "
+                f"run `gibson-sim bag repair {self.folder}`"
+            )
         self._reader = reader
 
     def topics(self) -> dict[str, TopicInfo]:
@@ -208,7 +216,7 @@ def image_to_array(msg: Any) -> NDArray[Any]:
         (height, width, channels), colours in the order of the encoding; (height, width) where there is one channel. A view if possible.
 
     Raises:
-        RecordError: another encoding, or too few bytes.
+        RecordError: another encoding, too few bytes, or no pixels.
     """
     if msg.encoding not in _ENCODINGS:
         raise RecordError(f"image encoding {quoted(msg.encoding)} cannot be read, must be one of {', '.join(_ENCODINGS)}")
@@ -216,6 +224,8 @@ def image_to_array(msg: Any) -> NDArray[Any]:
     dtype = np.dtype((">" if msg.is_bigendian else "<") + code)
     data = np.frombuffer(msg.data, dtype=np.uint8)
     row = msg.width * channels * dtype.itemsize
+    if not (msg.width and msg.height):
+        raise RecordError(f"image {msg.width}x{msg.height} {msg.encoding} has no pixels")
     if msg.step < row or len(data) < msg.step * msg.height:
         raise RecordError(
             f"image {msg.width}x{msg.height} {msg.encoding} has step {msg.step} and {len(data)} bytes, "

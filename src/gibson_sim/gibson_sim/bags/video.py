@@ -128,11 +128,14 @@ def write_contact_sheet(
         panels = Panels(reader, topics)
         wanted = np.unique(np.rint(np.linspace(0, len(panels.stamps) - 1, columns * rows)).astype(np.int64))
         odometry = _Odometry(reader)
-        cells = []
+        cells: list[Bgr] = []
         for index, picture in panels.pictures(frozenset(wanted.tolist()), stacked=True):
             height = max(round(picture.shape[0] * width / picture.shape[1]), 1)
             small = cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA)
-            cells.append(np.vstack([small, _caption(width, int(panels.stamps[index]), odometry)]))
+            cell = np.vstack([small, _caption(width, int(panels.stamps[index]), odometry)])
+            if cells and cell.shape != cells[0].shape:  # a camera may have changed its size in the middle
+                cell = np.asarray(cv2.resize(cell, (width, cells[0].shape[0]), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+            cells.append(cell)
     blank = np.zeros_like(cells[0])
     columns = min(columns, len(cells))
     cells += [blank] * (-len(cells) % columns)

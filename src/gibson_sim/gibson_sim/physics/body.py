@@ -32,8 +32,8 @@ from gibson_sim.robots.urdf import UrdfModel
 from gibson_sim.scenes.mesh import load_shape
 from gibson_sim.types import Pose, Vec3
 
-_ENGINE_MESHES = (".obj", ".stl")
-"""Formats that the engine reads by itself, as convex hulls."""
+_ENGINE_MESHES = (".obj",)
+"""Formats that the engine reads by itself, as a convex hull of each object in the file."""
 _ENGINE_BYTES = 2_000_000
 """Of a file: the engine takes a tenth of a second for so many, while time stands; hulls of larger ones are made beside time."""
 
@@ -217,8 +217,10 @@ class BodyInWorld:
         return replace(group, collisions=collisions)
 
     def _readable_shape(self, bullet: Bullet, shape: Shape) -> Shape:
-        if shape.kind != "mesh" or (not self.static and _is_for_engine(shape.mesh)):
-            return replace(shape, mesh=str(bullet.files.copy_obj(shape.mesh))) if shape.mesh.lower().endswith(".obj") else shape
+        if shape.kind != "mesh":
+            return shape
+        if not self.static and _is_for_engine(shape.mesh):
+            return replace(shape, mesh=str(bullet.files.copy_obj(shape.mesh)))
         text = mesh_text(shape) if self.static else to_obj(*hull_of(shape)).encode()
         return Shape("mesh", (1.0, 1.0, 1.0), str(bullet.files.write_obj(text)))
 
@@ -259,7 +261,7 @@ def _is_for_engine(mesh: str) -> bool:
         if os.path.getsize(mesh) <= _ENGINE_BYTES:
             return True
         # Each object of an OBJ has a hull of its own there: convex parts of a thing come like this.
-        return mesh.lower().endswith(".obj") and len(re.findall(rb"^[og]\s", Path(mesh).read_bytes(), re.MULTILINE)) > 1
+        return len(re.findall(rb"^[og]\s", Path(mesh).read_bytes(), re.MULTILINE)) > 1
     except OSError:
         return True  # which says what is wrong
 

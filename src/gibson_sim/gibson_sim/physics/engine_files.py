@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 from gibson_sim.errors import MeshError
-from gibson_sim.physics.obj_text import without_materials
+from gibson_sim.physics.obj_text import shapes_alone
 
 
 class EngineFiles:
@@ -36,7 +36,7 @@ class EngineFiles:
         return path
 
     def copy_obj(self, path: str) -> Path:
-        """Returns an OBJ file with the shapes of another one alone: the engine would read its textures, too, and never let them go.
+        """Returns an OBJ file with the shapes of another one alone: the engine would read its textures, too, and crash on wrong references.
 
         Raises:
             MeshError: it cannot be read.
@@ -45,7 +45,7 @@ class EngineFiles:
             text = Path(path).read_bytes()
         except OSError as error:
             raise MeshError(f"{path}: cannot be read: {error.strerror}") from error
-        return self.write_obj(without_materials(text))
+        return self.write_obj(shapes_alone(text))
 
     def write_obj(self, text: bytes) -> Path:
         """Returns an OBJ file with this text; equal ones share a file."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,9 +17,45 @@ def to_obj(vertices: NDArray[np.float64], triangles: NDArray[Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def without_materials(text: bytes) -> bytes:
-    """Returns the text of an OBJ file without the names of its material libraries."""
-    return b"".join(line for line in text.splitlines(keepends=True) if not line.lstrip().startswith(b"mtllib"))
+def shapes_alone(text: bytes) -> bytes:
+    """Returns the vertices, objects and faces of an OBJ file, and nothing else that an engine could stumble over.
+
+    Corners are counted from 1 and have neither textures nor normals, whose references may be wrong; faces that name a corner that is not
+    there yet, or fewer than three, are left out.
+    """
+    out: list[bytes] = []
+    count = 0
+    for line in text.splitlines():
+        words = line.split()
+        if not words:
+            continue
+        if words[0] == b"v" and len(words) >= 4 and all(map(_is_number, words[1:4])):
+            count += 1
+            out.append(b" ".join(words[:4]))
+        elif words[0] in (b"o", b"g"):
+            out.append(b" ".join((words[0], *words[1:2])))
+        elif words[0] == b"f":
+            corners = [_corner(word, count) for word in words[1:]]
+            if len(corners) >= 3 and all(corners):
+                out.append(b"f " + b" ".join(b"%d" % corner for corner in corners))
+    return b"\n".join(out) + b"\n"
+
+
+def _is_number(word: bytes) -> bool:
+    try:
+        return math.isfinite(float(word))
+    except ValueError:
+        return False
+
+
+def _corner(word: bytes, count: int) -> int:
+    """Returns the number of a corner, from 1; 0 where there are only ``count`` others."""
+    try:
+        number = int(word.split(b"/", 1)[0])
+    except ValueError:
+        return 0
+    number = count + 1 + number if number < 0 else number
+    return number if 1 <= number <= count else 0
 
 
 def objects_of_obj(lines: Sequence[str]) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:

@@ -302,8 +302,8 @@ def _ranging(what: str, spec: LidarSpec | Lidar3DSpec) -> None:
 
 
 def _rate(what: str, rate_hz: float) -> None:
-    if not 0.0 < rate_hz <= 1000.0:
-        raise ConfigError(f"{what}: rate_hz is {rate_hz:g}, must be in (0, 1000]")
+    if not 0.001 <= rate_hz <= 1000.0:
+        raise ConfigError(f"{what}: rate_hz is {rate_hz:g}, must be 0.001 to 1000")
 
 
 def _not_negative(what: str, key: str, value: float) -> None:

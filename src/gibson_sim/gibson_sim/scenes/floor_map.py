@@ -35,6 +35,8 @@ FLOOR_TOLERANCE = 0.10
 _LEVEL = math.cos(math.radians(20.0))
 _MAX_CELLS = 4_000_000
 """100 x 100 m at 5 cm: named poses of 16 million took four seconds and a gigabyte."""
+_MAX_SIDE = 20_000
+"""Cells of a row or a column: things in a line, kilometres apart, would take gigabytes."""
 _CERTAIN = 2000.0
 """Distances, half cells, below which single precision tells the squares of all from each other."""
 _CEILING = (1.8, 6.0)
@@ -259,7 +261,7 @@ def under_ceiling(corners: F64, floor_z: float, grid: Grid) -> Bools:
 
 def _affordable(resolution: float, size: F64) -> float:
     """Returns a cell size for which a map of ``size`` (2,) metres fits into memory."""
-    needed = math.sqrt(float(size[0] * size[1]) / _MAX_CELLS)
+    needed = max(math.sqrt(float(size[0] * size[1]) / _MAX_CELLS), float(size.max()) / _MAX_SIDE)
     if needed <= resolution:
         return resolution
     coarser = math.ceil(needed / 0.05) * 0.05

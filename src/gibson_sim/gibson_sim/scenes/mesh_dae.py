@@ -239,6 +239,8 @@ class _Geometry:
             accessor = source.find("technique_common/accessor")
             stride = 3 if accessor is None else int(accessor.get("stride", "1"))
             offset = 0 if accessor is None else int(accessor.get("offset", "0"))
+            if stride < 1 or not 0 <= offset <= len(values):
+                raise MeshError(f"{self.path}: source {quoted(name)} has stride {stride} and offset {offset}; the file is broken")
             rows = (len(values) - offset) // stride
             wanted = rows if accessor is None else int(accessor.get("count", str(rows)))
             if wanted > rows:
