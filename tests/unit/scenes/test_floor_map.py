@@ -149,11 +149,16 @@ def test_height_without_anything_is_an_error() -> None:
 
 def test_scene_too_large_for_memory_gets_coarser_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(floor_map, "_MAX_CELLS", 10_000)
-    # 100 m x 100 m in 10,000 cells: 1 m each.
-    assert _map(_level(0, 0, 100, 100, 0)).resolution == pytest.approx(1.0)
+    # 29.9 m x 29.9 m in 10,000 cells: 0.3 m each.
+    assert _map(_level(0, 0, 29.9, 29.9, 0)).resolution == pytest.approx(0.3)
+
+
+def test_map_too_coarse_for_a_robot_has_few_cells(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(floor_map, "_MAX_CELLS", 10_000)
+    assert _map(_level(0, 0, 100, 100, 0)).resolution == pytest.approx(2.0)
 
 
 def test_map_of_things_kilometres_apart_takes_no_gigabyte() -> None:
     assert floor_map._affordable(0.05, np.array([2000.0, 2000.0])) >= 1.0
     assert floor_map._affordable(0.05, np.array([90.0, 90.0])) == 0.05
-    assert floor_map._affordable(0.05, np.array([1e5, 0.1])) == 5.0  # few cells, and yet a row of two million
+    assert floor_map._affordable(0.05, np.array([1e5, 0.1])) == 10.0  # few cells, and yet a row of two million

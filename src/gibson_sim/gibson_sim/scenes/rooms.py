@@ -61,8 +61,9 @@ def find_rooms(floor: FloorMap) -> tuple[tuple[Room, ...], tuple[Door, ...]]:
     labels = _flood(floor.distance_to_obstacle, np.asarray(open_places, dtype=np.int64))
     labels = _merged(labels, passages(labels))
     areas = np.bincount(labels.ravel()) * floor.resolution**2
+    boxes = ndimage.find_objects(labels)
     rooms = {
-        label: _room(floor, labels, label, float(areas[label]))
+        label: _room(floor, labels, label, boxes[label - 1], float(areas[label]))
         for label in map(int, np.flatnonzero(areas >= SMALLEST_ROOM))
         if label
     }
@@ -77,8 +78,8 @@ def find_rooms(floor: FloorMap) -> tuple[tuple[Room, ...], tuple[Door, ...]]:
     return tuple(rooms[label] for label in order), tuple(sorted(wide, key=lambda door: (door.rooms, door.center)))
 
 
-def _room(floor: FloorMap, labels: NDArray[np.int64], label: int, area: float) -> Room:
-    cells = np.argwhere(labels == label)
+def _room(floor: FloorMap, labels: NDArray[np.int64], label: int, box: tuple[slice, slice], area: float) -> Room:
+    cells = np.argwhere(labels[box] == label) + np.array((box[0].start, box[1].start))
     half = floor.resolution / 2
     centers = floor.centers(cells)
     best = int(floor.distance_to_obstacle[tuple(cells.T)].argmax())
@@ -118,10 +119,12 @@ def passages(labels: NDArray[np.int64]) -> dict[tuple[int, int], list[NDArray[np
             borders.setdefault((first, second), []).append((int(row), int(column)))
     passages = {}
     for pair, cells in borders.items():
-        mask = np.zeros(labels.shape, dtype=bool)
-        mask[tuple(np.array(cells).T)] = True
+        at = np.array(cells)
+        first_cell = at.min(axis=0)
+        mask = np.zeros(at.max(axis=0) - first_cell + 1, dtype=bool)
+        mask[tuple((at - first_cell).T)] = True
         pieces, count = ndimage.label(mask, structure=np.ones((3, 3)))
-        passages[pair] = [np.argwhere(pieces == piece) for piece in range(1, count + 1)]
+        passages[pair] = [np.argwhere(pieces == piece) + first_cell for piece in range(1, count + 1)]
     return passages
 
 
