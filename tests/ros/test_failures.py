@@ -18,6 +18,7 @@ from support.simulation import Launched, Listener, require, wait_until
 
 require("rclpy", "gibson_msgs")
 
+from rclpy.qos import qos_profile_sensor_data  # noqa: E402
 from rosbags.highlevel import AnyReader  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 
@@ -61,9 +62,11 @@ def test_physics_runs_alone_without_egl(ros_domain: int, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_stopped_run_ends_with_zero_and_leaves_nothing_behind(ros_domain: int, tmp_path: Path, number: signal.Signals) -> None:
+def test_stopped_run_ends_with_zero_and_leaves_nothing_behind(listener: Listener, tmp_path: Path, number: signal.Signals) -> None:
+    clock = listener.collect(Clock, "/clock", qos_profile_sensor_data)
     launched = Launched("run", "--scene", str(write_room(tmp_path)))
     launched.wait_for_line("triangles")
+    listener.spin_until(lambda: any(message.clock.sec > 0 for message in clock), "time that has begun")
     pids = [launched.node_pid("physics"), launched.node_pid("render")]
     segments = _segments(*pids)
     assert launched.stop(number) == 0, "\n".join(launched.lines)
