@@ -322,13 +322,7 @@ class Simulation:
     def reset(self) -> SceneState:
         """Begins anew at time 0: what was spawned, moved, removed or commanded is forgotten. What follows equals a new simulation to the bit."""
         world = self.world
-        # All anew and in the same order: what the engine remembers would make the second run differ from the first.
-        for name in world.names:
-            world.remove(name)
-        for robot in self._initial.robots:
-            world.add_robot(robot)
-        for body in self._initial.bodies:
-            world.add_body(body)
+        world.repopulate(self._initial.robots, self._initial.bodies)
         world.set_step_count(0)
         self._light = self._initial.light
         self._inputs.clear()
@@ -475,7 +469,7 @@ class Simulation:
         name = self._robot_name(robot)
         found = self._readings.get((name, sensor))
         if found is None:
-            known = [task for task in self._suites[name].misses]
+            known = list(self._suites[name].misses)
             if sensor in known:
                 raise ConfigError(f"sensor {quoted(sensor)} of robot {quoted(name)} has not measured yet: step first")
             raise ConfigError(f"robot {quoted(name)} has no sensor {quoted(sensor)}; it has: {', '.join(known) or 'none'}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Iterable
 from dataclasses import replace
 from types import TracebackType
 from typing import Any
@@ -146,6 +147,19 @@ class PhysicsWorld(ArmCommands):
         self._check_new(spec.name)
         self._load_body(spec)
         self._changed(bodies=(*self.scene.bodies, spec), new_links=self._bodies[spec.name].full_links)
+
+    def repopulate(self, robots: Iterable[RobotSpec], bodies: Iterable[BodySpec]) -> None:
+        """Removes all robots and bodies, and adds these, in their order: equal order, equal physics, whatever was there before.
+
+        Raises:
+            GibsonSimError: one of them cannot be added; those before it are there.
+        """
+        for name in self.names:
+            self.remove(name)
+        for robot in robots:
+            self.add_robot(robot)
+        for body in bodies:
+            self.add_body(body)
 
     def remove(self, name: str) -> None:
         """Takes a robot or a body out of the world; PhysicsError where there is none of this name."""

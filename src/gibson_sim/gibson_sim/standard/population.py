@@ -299,10 +299,7 @@ class Population:
         initial: tuple[RobotSpec | BodySpec, ...] = (*self._initial.robots, *self._initial.bodies)
         try:
             if self._world.names != tuple(spec.name for spec in initial):
-                for name in self._world.names:
-                    self._world.remove(name)
-                for spec in initial:
-                    self._add(spec)
+                self._world.repopulate(self._initial.robots, self._initial.bodies)
         finally:
             self._entities = {}
             self._take_stock()

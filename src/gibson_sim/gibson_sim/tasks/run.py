@@ -64,13 +64,8 @@ class TaskRun:
         """
         episode = self.task.generate(seed, self.ground)
         world = self.world
-        # All anew and in the same order: what the engine remembers of an episode must not reach into the next.
-        for name in world.names:
-            world.remove(name)
-        world.add_robot(replace(self.robot, start=episode.start))
         own = (body for body in self.ground.scene.bodies if body.name not in episode.removed)
-        for body in (*own, *(item_body(item) for item in episode.items)):
-            world.add_body(body)
+        world.repopulate([replace(self.robot, start=episode.start)], [*own, *(item_body(item) for item in episode.items)])
         world.set_step_count(0)
         world.step(round(SETTLE_S * world.step_hz))
         self._episode, self._begin_ns = episode, world.stamp_ns
