@@ -203,3 +203,25 @@ def test_after_its_end_it_says_so(tmp_path: Path) -> None:
     assert repr(sim) == "<Simulation: closed>"
     with pytest.raises(gs.SceneNotFoundError, match="did you mean 'linden_flat'"):
         gs.Simulation("lindenflat")
+
+
+def test_what_is_saved_does_not_change_with_an_array_that_was_given() -> None:
+    place = np.array([1.9, 4.9, 0.3])
+    with gs.Simulation("flat") as sim:
+        sim.spawn("ball", "ball", place)  # type: ignore[arg-type]
+        saved, pose = sim.save(), sim.bodies["ball"].pose
+        place += 1.0
+        sim.restore(saved)
+        assert sim.bodies["ball"].pose == pose
+
+
+def test_a_robot_that_is_spawned_has_no_readings_of_one_that_was_removed() -> None:
+    with gs.Simulation("flat", "gibson_bot_real") as sim:
+        sim.spawn("gibson_bot_real", "other", (1.9, 4.9, 0.0))
+        sim.step(seconds=0.1)
+        sensor = sim.robots["other"].spec.sensors.imus[0].name
+        assert sim.reading(sensor, "other")
+        sim.remove("other")
+        sim.spawn("gibson_bot_real", "other", (1.9, 4.9, 0.0))
+        with pytest.raises(gs.GibsonSimError, match="has not measured yet"):
+            sim.reading(sensor, "other")

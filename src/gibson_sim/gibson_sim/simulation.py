@@ -413,7 +413,7 @@ class Simulation:
             raise ConfigError(f"name is {quoted(name)}, must be letters, digits and _, a letter first, and not {WORLD_FRAME!r}")
         spec = load_spawnable(str(uri), "", name=name, pose=_upright(position, yaw))
         self._place(in_namespace(spec, name) if isinstance(spec, RobotSpec) else spec)
-        self._inputs.append((self.world.step_count, "spawn", (uri, name, position, yaw)))
+        self._inputs.append((self.world.step_count, "spawn", (uri, name, tuple(position), yaw)))
 
     def move(self, name: str, position: Vec3, yaw: float = 0.0) -> None:
         """Puts a robot or a body somewhere else, upright and at rest.
@@ -427,7 +427,7 @@ class Simulation:
             PhysicsError: there is none of this name.
         """
         self.world.set_state(name, _upright(position, yaw), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-        self._inputs.append((self.world.step_count, "move", (name, position, yaw)))
+        self._inputs.append((self.world.step_count, "move", (name, tuple(position), yaw)))
 
     def remove(self, name: str) -> None:
         """Takes a robot or a body out of the scene.
@@ -437,6 +437,7 @@ class Simulation:
         """
         self.world.remove(name)
         self._suites.pop(name, None)
+        self._readings = {of: reading for of, reading in self._readings.items() if of[0] != name}
         self._inputs.append((self.world.step_count, "remove", (name,)))
 
     # What sensors measure
