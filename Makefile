@@ -5,7 +5,7 @@ ARGS ?=
 PYTEST_ARGS ?=
 
 BIN := $(VENV)/bin
-CODE := bootstrap.py src/gibson_sim ros_ws/src/gibson_examples docs tests
+CODE := bootstrap.py src/gibson_sim src/gibson_sim_bench src/gibson_sim_tools ros_ws/src/gibson_examples docs tests
 
 export FASTRTPS_DEFAULT_PROFILES_FILE ?= $(CURDIR)/config/fastdds.xml
 # What another ROS installation or environment put there does not belong into ours.

@@ -25,7 +25,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent
 CONSTRAINTS = ROOT / "constraints.txt"
-PROJECTS = (ROOT / "src" / "gibson_sim", ROOT / "ros_ws" / "src" / "gibson_examples")
+PROJECTS = (
+    ROOT / "src" / "gibson_sim",
+    ROOT / "src" / "gibson_sim_tools",
+    ROOT / "src" / "gibson_sim_bench",
+    ROOT / "ros_ws" / "src" / "gibson_examples",
+)
 INTERFACES = (ROOT / "src" / "gibson_msgs", ROOT / "ros_ws" / "src" / "compat")
 PYTHON_ONLY = ROOT / "ros_ws" / "src" / "compat" / "python_only"
 """What makes CMake build messages for Python alone."""
@@ -337,7 +342,8 @@ def put_into_ament_index(venv: Path, project: Path) -> None:
     links |= {share / name / path.relative_to(project): path for path in shared_parts(project)}
     scripts = configparser.ConfigParser()
     scripts.read(venv.glob(f"lib/python3.*/site-packages/{name}-*.dist-info/entry_points.txt"))
-    links |= {venv / "lib" / name / script: venv / "bin" / script for script in scripts["console_scripts"]}
+    programs = scripts["console_scripts"] if scripts.has_section("console_scripts") else ()
+    links |= {venv / "lib" / name / script: venv / "bin" / script for script in programs}
     shutil.rmtree(share / name, ignore_errors=True)
     for link, target in links.items():
         link.parent.mkdir(parents=True, exist_ok=True)

@@ -10,7 +10,7 @@ from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from sensor_msgs.msg import LaserScan
 
-from gibson_sim.ros.lockstep_client import LockstepParticipant
+from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
 
 
 class Controller(Node):

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import gibson_sim as gs
+from gibson_sim.maps.placement import furnished_floor_map
+from gibson_sim.maps.tour import plan_tour
 from gibson_sim.robots.path_tracking import PathFollower
-from gibson_sim.scenes.placement import furnished_floor_map
-from gibson_sim.scenes.tour import plan_tour
 
 WIDTH, HEIGHT, RATE_HZ = 320, 240, 8
 """Of one of the four pictures, pixels, and of the film."""

@@ -57,10 +57,6 @@ setup(
         "fast": ["numba>=0.61"],
         "gym": ["gymnasium>=1.0"],
         "analysis": ["matplotlib>=3.8"],
-        "authoring": ["bpy"],
-        "collision": ["coacd>=1.0.7"],
-        "usd": ["usd-core>=24.8"],
-        "scanning": ["open3d-cpu>=0.19; platform_machine == 'x86_64'", "open3d>=0.19; platform_machine != 'x86_64'"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
@@ -73,13 +69,13 @@ setup(
     entry_points={
         "console_scripts": [
             "gibson-sim = gibson_sim.cli.main:main",
-            "physics_node = gibson_sim.ros.start:physics_node",
-            "render_node = gibson_sim.ros.start:render_node",
-            "drive_node = gibson_sim.ros.start:drive_node",
-            "record_node = gibson_sim.ros.start:record_node",
-            "snapshot_node = gibson_sim.ros.start:snapshot_node",
-            "replay_node = gibson_sim.ros.start:replay_node",
-            "task_node = gibson_sim.ros.start:task_node",
+            "physics_node = gibson_sim.ros.nodes.start:physics_node",
+            "render_node = gibson_sim.ros.nodes.start:render_node",
+            "drive_node = gibson_sim.ros.nodes.start:drive_node",
+            "record_node = gibson_sim.ros.nodes.start:record_node",
+            "snapshot_node = gibson_sim.ros.nodes.start:snapshot_node",
+            "replay_node = gibson_sim.ros.nodes.start:replay_node",
+            "task_node = gibson_sim.ros.nodes.start:task_node",
         ],
     },
 )

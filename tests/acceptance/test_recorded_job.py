@@ -22,9 +22,9 @@ import trimesh  # noqa: E402
 from rosbags.highlevel import AnyReader  # noqa: E402
 from rosbags.typesys import Stores, get_typestore  # noqa: E402
 
+from gibson_sim.formats.load_mesh import MeshLoader  # noqa: E402
 from gibson_sim.geometry.transforms import invert, matrix_from_quat, transform_points  # noqa: E402
 from gibson_sim.scenes.load import load_scene  # noqa: E402
-from gibson_sim.scenes.mesh import MeshLoader  # noqa: E402
 
 pytestmark = pytest.mark.ros
 DURATION_S = 12

@@ -24,15 +24,15 @@ from gibson_sim.bags.stamps import header_stamp_ns  # noqa: E402
 from gibson_sim.bags.writer import BagWriter, TopicQos  # noqa: E402
 from gibson_sim.client_config import RenderBagConfig  # noqa: E402
 from gibson_sim.config import RenderConfig  # noqa: E402
+from gibson_sim.description.shapes import Shape, VisualSpec  # noqa: E402
 from gibson_sim.errors import ConfigError, SceneNotFoundError  # noqa: E402
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy  # noqa: E402
 from gibson_sim.render.renderer import Renderer  # noqa: E402
-from gibson_sim.robots.spec import Shape, VisualSpec  # noqa: E402
 from gibson_sim.ros import conversions  # noqa: E402
-from gibson_sim.ros.exact_bytes import exact_bytes  # noqa: E402
-from gibson_sim.ros.fast_images import image_to_bytes  # noqa: E402
-from gibson_sim.ros.message_types import type_name_of  # noqa: E402
-from gibson_sim.ros.render_bag import render_bag  # noqa: E402
+from gibson_sim.ros.nodes.render_bag import render_bag  # noqa: E402
+from gibson_sim.ros.wire.exact_bytes import exact_bytes  # noqa: E402
+from gibson_sim.ros.wire.fast_publish import image_to_bytes  # noqa: E402
+from gibson_sim.ros.wire.message_types import type_name_of  # noqa: E402
 from gibson_sim.scenes.spec import DrawnScene, LightSpec  # noqa: E402
 from gibson_sim.types import OUTPUTS, CameraSpec, SceneState  # noqa: E402
 

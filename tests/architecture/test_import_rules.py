@@ -5,11 +5,18 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
-from gibson_sim.cli.command_line import MODULE_OF
+import pytest
+
+from gibson_sim.cli import commands
+from gibson_sim.cli.commands import command_modules
 from support.simulation import require
 
+MOST_FILES = 20
+"""Python files in one folder."""
+PACKAGES = ("gibson_sim", "gibson_sim_tools", "gibson_sim_bench")
 HEAVY = ("rclpy", "pybullet", "moderngl", "torch")
 
 
@@ -62,44 +69,84 @@ except SystemExit: print([name for name in {(*HEAVY, "cv2", "scipy", "trimesh")}
 
 def test_help_names_every_command() -> None:
     done = subprocess.run([sys.executable, "-m", "gibson_sim.cli.main", "--help"], capture_output=True, text=True, check=True)
-    assert {line.split()[0] for line in done.stdout.splitlines() if line.startswith("    ") and line.strip()} >= set(MODULE_OF)
+    assert {line.split()[0] for line in done.stdout.splitlines() if line.startswith("    ") and line.strip()} >= set(
+        command_modules()
+    )
+
+
+def test_what_others_add_is_named_where_it_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(commands, "entry_points", lambda group: ())
+    assert commands.not_installed(["scene", "import", "mesh.glb"]) == (
+        "`gibson-sim scene import` comes with the package gibson_sim_tools, which is not installed; "
+        "install it from src/gibson_sim_tools of Gibson Sim's sources"
+    )
+    assert "gibson_sim_bench" in commands.not_installed(["bench", "table1"])
+    assert commands.not_installed(["scene", "map", "flat"]) == commands.not_installed(["run"]) == ""
+
+
+def test_each_command_that_another_package_adds_is_known_to_be_added() -> None:
+    of_others = {("scene", name) for name in commands.scene_command_modules()} | {(name,) for name in commands.command_modules()}
+    ours = {("scene", name) for name in commands.SCENE_COMMANDS} | {(name,) for name in commands.COMMANDS}
+    assert of_others - ours == set(commands.BROUGHT_BY)
+
+
+def _sources(root: Path) -> list[tuple[str, Path]]:
+    """Returns all modules of our packages, each with its path below its package's source folder."""
+    return [
+        (file.relative_to(root / "src" / package).as_posix(), file)
+        for package in PACKAGES
+        for file in sorted((root / "src" / package / package).rglob("*.py"))
+    ]
 
 
 def test_yaml_and_xml_of_strangers_are_parsed_in_one_place(root: Path) -> None:
-    package = root / "src" / "gibson_sim" / "gibson_sim"
     parses = re.compile(r"yaml\.(safe_)?load|yaml\.compose|(ElementTree|ET)\.(fromstring|parse|iterparse|XML)\(")
     found = {
-        f"{path.relative_to(package)}: {line.strip()}"
-        for path in package.rglob("*.py")
+        f"{name}: {line.strip()}"
+        for name, path in _sources(root)
         for line in path.read_text(encoding="utf-8").splitlines()
         if parses.search(line)
     }
     # ruamel.yaml keeps the comments of a robot.yaml that was read before; the text of the plate is our own.
     assert found == {
-        "reading.py: top = ElementTree.fromstring(text)",
-        'bags/comparison/robot_file.py: robot = yaml.load(source.read_text(encoding="utf-8"))',
-        "tasks/doors.py: top = copy.deepcopy(ElementTree.parse(urdf).getroot())",
-        "tasks/doors.py: link.append(ElementTree.fromstring(_PLATE))",
+        "gibson_sim/reading.py: top = ElementTree.fromstring(text)",
+        'gibson_sim/bags/comparison/robot_file.py: robot = yaml.load(source.read_text(encoding="utf-8"))',
+        "gibson_sim/tasks/scripts/doors.py: top = copy.deepcopy(ElementTree.parse(urdf).getroot())",
+        "gibson_sim/tasks/scripts/doors.py: link.append(ElementTree.fromstring(_PLATE))",
     }
 
 
 _WRITES = re.compile(r"\.write_(?:text|bytes)\(|\bimwrite\(|\bnp\.savez?\(|\.savefig\(|\bopen\([^)\n]*[\"'][wx]")
 _MAY_WRITE = {
-    "writing.py", "picture_files.py",
+    "gibson_sim/writing.py", "gibson_sim/picture_files.py",
     # Drafts and caches that take their name last, files that are of use before they are complete, and what only this process reads.
-    "bags/metadata.py", "bags/sink.py", "bags/sqlite_file.py", "bags/writer.py", "importing/archives.py", "importing/download.py",
-    "making/baking.py", "making/blender/__main__.py", "physics/convex_parts.py", "physics/engine_files.py", "render/cache.py",
-    "robots/xacro.py", "scenes/collision/cache.py", "scenes/collision/parts.py",
+    "gibson_sim/bags/metadata.py", "gibson_sim/bags/mcap_file.py", "gibson_sim/bags/sqlite_file.py", "gibson_sim/bags/writer.py",
+    "gibson_sim/description/xacro.py", "gibson_sim/physics/convex_parts.py", "gibson_sim/physics/engine_files.py", "gibson_sim/render/cache.py",
+    "gibson_sim/scenes/collision/cache.py", "gibson_sim/scenes/collision/simplified.py", "gibson_sim_tools/importing/archives.py",
+    "gibson_sim_tools/importing/download.py", "gibson_sim_tools/making/baking.py", "gibson_sim_tools/making/blender/__main__.py",
 }  # fmt: skip
 
 
 def test_files_are_written_in_one_place(root: Path) -> None:
-    package = root / "src" / "gibson_sim" / "gibson_sim"
     found = []
-    for file in sorted(package.rglob("*.py")):
-        if file.relative_to(package).as_posix() in _MAY_WRITE:
+    for name, file in _sources(root):
+        if name in _MAY_WRITE:
             continue
         for number, line in enumerate(file.read_text(encoding="utf-8").splitlines(), 1):
             if _WRITES.search(line) and not re.search(r"draft|self\._file, |savefig\(file, ", line):
-                found.append(f"{file.relative_to(package)}:{number}: {line.strip()}")
+                found.append(f"{name}:{number}: {line.strip()}")
     assert found == [], "use gibson_sim.writing or gibson_sim.picture_files"
+
+
+def test_no_folder_has_to_be_scrolled(root: Path) -> None:
+    folders = Counter(path.parent for _, path in _sources(root))
+    assert {str(folder.relative_to(root)): count for folder, count in folders.items() if count > MOST_FILES} == {}
+
+
+def test_the_core_imports_none_of_the_tools() -> None:
+    command = """import pkgutil, sys, importlib, gibson_sim
+for module in pkgutil.walk_packages(gibson_sim.__path__, "gibson_sim."):
+    if not module.name.endswith("__main__"): importlib.import_module(module.name)
+print(sorted({name.partition(".")[0] for name in sys.modules} & {"gibson_sim_tools", "gibson_sim_bench"}))"""
+    done = subprocess.run([sys.executable, "-c", command], capture_output=True, text=True, check=False)
+    assert (done.stdout.strip().splitlines() or [done.stderr])[-1] == "[]"

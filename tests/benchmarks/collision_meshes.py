@@ -21,18 +21,18 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf import Inertial, UrdfCollision, UrdfLink, UrdfModel
+from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
+from gibson_sim.geometry.triangle_meshes import weld
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.load import load_robot
-from gibson_sim.robots.spec import Shape
-from gibson_sim.robots.urdf import Inertial, UrdfCollision, UrdfLink, UrdfModel
-from gibson_sim.scenes.collision.parts import scan_shapes
-from gibson_sim.scenes.collision.triangles import weld
-from gibson_sim.scenes.generator.rooms import rooms_mesh
-from gibson_sim.scenes.mesh import load_mesh
+from gibson_sim.scenes.collision.simplified import scan_shapes
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
 from gibson_sim.types import Pose, VelocityCommand
+from gibson_sim_tools.generator.rooms import rooms_mesh
 from support.probes import BOX, SPHERE, random_places, verdicts, write_mesh
 
 Shapes = tuple[tuple[Shape, Pose], ...]

@@ -17,9 +17,9 @@ from tempfile import TemporaryDirectory
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from gibson_sim.bench import timing
 from gibson_sim.cli.report_file import write_json
 from gibson_sim.reach import LOCAL, PROFILE_VARIABLE, apply_reach, profile_of
+from gibson_sim_bench import timing
 from support.simulation import Launched, Listener, new_context
 
 IMAGE = "camera/image_raw"

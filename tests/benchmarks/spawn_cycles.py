@@ -28,12 +28,12 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from gibson_sim.bench import timing
 from gibson_sim.cli.environment import node_environment
 from gibson_sim.cli.report_file import write_json
 from gibson_sim.geometry.transforms import Mat4, invert, matrix_from_pose
 from gibson_sim.reach import apply_reach
 from gibson_sim.types import Pose
+from gibson_sim_bench import timing
 from support.simulation import Launched, Listener, new_context
 from support.spawned_things import PLACES, ROBOT, Thing, silhouette, things
 
@@ -106,9 +106,9 @@ class CountingRenderNode(Launched):
 
 def render_and_count(counts: Path) -> None:
     """Runs a render node; ``counts`` says, after every change of the scene, how many OpenGL objects of each kind there are."""
-    from gibson_sim.render.gl import Gl
+    from gibson_sim.render.context.gl import Gl
     from gibson_sim.render.renderer import Renderer
-    from gibson_sim.ros import render_node
+    from gibson_sim.ros.nodes import render_node
 
     alive: Counter[str] = Counter()
     create, delete, update = Gl.create, Gl.delete, Renderer.update

@@ -22,12 +22,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from gibson_sim.geometry.patches import flat_patches
 from gibson_sim.geometry.upright import CUES, find_candidates
-from gibson_sim.importing.facts import scene_geometry
 from gibson_sim.render.cache import default_folder
-from gibson_sim.scanning.capture import ScanSettings, scan
-from gibson_sim.scanning.layouts import open_posed_rgbd
-from gibson_sim.scanning.settings import PRESETS, Defects, ScanCamera, TourSettings
 from gibson_sim.scenes.load import load_scene
+from gibson_sim_tools.importing.facts import scene_geometry
+from gibson_sim_tools.scanning.capture import ScanSettings, scan
+from gibson_sim_tools.scanning.layouts import open_posed_rgbd
+from gibson_sim_tools.scanning.settings import PRESETS, Defects, ScanCamera, TourSettings
 from support.turning import depth_mesh, random_rotation, verdict
 
 F64 = NDArray[np.float64]

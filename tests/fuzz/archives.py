@@ -14,9 +14,9 @@ from fuzz import seeds
 from fuzz.grammar import Mutator
 from fuzz.live import live, simulator
 from fuzz.trial import Trial
-from gibson_sim.importing.archives import ArchiveLimits, unpack
-from gibson_sim.importing.run import import_scene
 from gibson_sim.standard.requests import LoadRequest
+from gibson_sim_tools.importing.archives import ArchiveLimits, unpack
+from gibson_sim_tools.importing.run import import_scene
 
 _NAMES = (
     "../out.txt",

@@ -10,7 +10,7 @@ from fuzz.grammar import SECRET, Mutator
 from fuzz.live import live, simulator
 from fuzz.trial import Trial
 from gibson_sim.errors import MeshError
-from gibson_sim.scenes.mesh import MeshLoader
+from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.standard.population import SpawnRequest
 from gibson_sim.standard.requests import LoadRequest
 

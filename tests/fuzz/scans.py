@@ -10,8 +10,8 @@ import numpy as np
 
 from fuzz.grammar import Mutator
 from fuzz.trial import Trial
-from gibson_sim.scanning.layouts import open_posed_rgbd
-from gibson_sim.scanning.trajectories import write_stamped_poses, write_trajectory_log
+from gibson_sim_tools.scanning.layouts import open_posed_rgbd
+from gibson_sim_tools.scanning.trajectories import write_stamped_poses, write_trajectory_log
 
 _WIDTH, _HEIGHT, _FRAMES = 12, 8, 3
 _INTRINSICS = {"width": _WIDTH, "height": _HEIGHT, "intrinsic_matrix": [10.0, 0, 0, 0, 11.0, 0, 5.5, 3.5, 1]}

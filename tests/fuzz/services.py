@@ -25,7 +25,7 @@ from fuzz import seeds
 from fuzz.grammar import SECRET, SECRET_NUMBER, Mutator
 from fuzz.requests import change, command, fill_spawn
 from fuzz.trial import LIMIT_S, slowness
-from gibson_sim.robots.urdf import read_urdf
+from gibson_sim.description.urdf import read_urdf
 from support.scenes import write_room
 from support.simulation import PATIENCE_S, Launched, Listener
 

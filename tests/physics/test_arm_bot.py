@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf import parse_urdf, read_urdf
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.joint_commands import JointPositions
+from gibson_sim.robots.joints.commands import JointPositions
 from gibson_sim.robots.load import load_robot
-from gibson_sim.robots.spec import RobotSpec, Shape
-from gibson_sim.robots.urdf import parse_urdf, read_urdf
+from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
 from gibson_sim.types import Pose, Vec3, VelocityCommand
 

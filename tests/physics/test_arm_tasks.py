@@ -10,20 +10,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gibson_sim.bench.tasks import TaskPlan, measure
 from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy, transform_points
-from gibson_sim.tasks.arm_task import Fumbler
-from gibson_sim.tasks.driving import pose_xy
 from gibson_sim.tasks.episode import Episode, View, item_root
 from gibson_sim.tasks.furnishing import extent, lying, middle, standing
 from gibson_sim.tasks.ground import Ground, ground_of
-from gibson_sim.tasks.open_cabinet import CABINET, THING, OpenCabinet, part_of
-from gibson_sim.tasks.pick_and_place import APART, NEAR, PickAndPlace
+from gibson_sim.tasks.kinds.arm_task import Fumbler
+from gibson_sim.tasks.kinds.open_cabinet import CABINET, THING, OpenCabinet, part_of
+from gibson_sim.tasks.kinds.pick_and_place import APART, NEAR, PickAndPlace
 from gibson_sim.tasks.registry import task_of
 from gibson_sim.tasks.run import TaskRun, run_episode
+from gibson_sim.tasks.scripts.driving import pose_xy
 from gibson_sim.tasks.task import Task
 from gibson_sim.types import Pose, Vec3
+from gibson_sim_bench.tasks import TaskPlan, measure
 
 BASE, TOOL = "robot/base_footprint", "robot/gripper_link"
 FAR: Vec3 = (9.0, 9.0, 2.0)

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf import Inertial, UrdfCollision, UrdfJoint, UrdfLink, UrdfModel
 from gibson_sim.errors import PhysicsError
 from gibson_sim.geometry.transforms import matrix_from_quat, pose_from_xyz_rpy
 from gibson_sim.physics.attachments import AttachmentKind
 from gibson_sim.physics.engine import pybullet
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.joint_commands import JointEfforts, JointPositions, JointVelocities
-from gibson_sim.robots.spec import Shape
-from gibson_sim.robots.urdf import Inertial, UrdfCollision, UrdfJoint, UrdfLink, UrdfModel
+from gibson_sim.robots.joints.commands import JointEfforts, JointPositions, JointVelocities
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose
 

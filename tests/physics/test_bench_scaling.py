@@ -6,8 +6,8 @@ import logging
 
 import pytest
 
-from gibson_sim.bench.scaling import _case
-from gibson_sim.bench.soak import environment_steps
+from gibson_sim_bench.scaling import _case
+from gibson_sim_bench.soak import environment_steps
 
 
 @pytest.mark.parametrize(("kind", "value"), [("bodies", 2), ("robots", 2)])

@@ -10,14 +10,13 @@ import numpy as np
 import pytest
 import trimesh
 
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf import Inertial, UrdfCollision, UrdfJoint, UrdfLink, UrdfModel, UrdfVisual
 from gibson_sim.errors import PhysicsError
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
 from gibson_sim.physics.body import hull_of
-from gibson_sim.physics.static_shapes import GROUND
-from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.spec import Shape
-from gibson_sim.robots.urdf import Inertial, UrdfCollision, UrdfJoint, UrdfLink, UrdfModel, UrdfVisual
+from gibson_sim.physics.world import GROUND, PhysicsWorld
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose
 

@@ -10,12 +10,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from gibson_sim.description.shapes import Shape
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.physics.convex_parts import convex_parts
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.spec import RobotSpec, Shape
+from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.collision import scan as scan_module
-from gibson_sim.scenes.collision.parts import scan_shapes
+from gibson_sim.scenes.collision.simplified import scan_shapes
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
 from gibson_sim.types import Pose, VelocityCommand
 from support.probes import BOX, SPHERE, random_places, verdicts, write_mesh

@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf import read_urdf
 from gibson_sim.geometry.transforms import matrix_from_quat, pose_from_xyz_rpy, yaw_from_quat
 from gibson_sim.physics.drive import mass_and_inertia, without_friction
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.sensor_specs import WheelOdometrySpec
-from gibson_sim.robots.spec import RobotSpec, Shape
-from gibson_sim.robots.urdf import read_urdf
+from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
 from gibson_sim.types import VelocityCommand
 

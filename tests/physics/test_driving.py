@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.shapes import Shape
 from gibson_sim.geometry.transforms import matrix_from_quat, pose_from_xyz_rpy, yaw_from_quat
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.load import load_robot
-from gibson_sim.robots.spec import RobotSpec, Shape
+from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
 from gibson_sim.types import VelocityCommand
 

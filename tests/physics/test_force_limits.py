@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gibson_sim.physics.force_limits import cube_of, given_in_advance, reach_of
+from gibson_sim.physics.attachments import cube_of, given_in_advance, reach_of
 
 LIMIT = 500.0
 DIRECTIONS = [

@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf import Inertial, UrdfCollision, UrdfJoint, UrdfLink, UrdfModel
 from gibson_sim.errors import CommandError
 from gibson_sim.physics.engine import pybullet
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.grasping import GraspSettings
-from gibson_sim.robots.joint_commands import JointEfforts, JointPositions, JointTrajectory, JointVelocities, TrajectoryPoint
-from gibson_sim.robots.spec import RobotSpec, Shape
-from gibson_sim.robots.urdf import Inertial, UrdfCollision, UrdfJoint, UrdfLink, UrdfModel
+from gibson_sim.robots.joints.commands import JointEfforts, JointPositions, JointTrajectory, JointVelocities, TrajectoryPoint
+from gibson_sim.robots.joints.grasping import GraspSettings
+from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose, Vec3
 from support.arms import FINGERS, load_arm

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.urdf import Inertial, UrdfJoint, UrdfLink, UrdfModel
 from gibson_sim.errors import CommandError
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.joint_commands import JointEfforts, JointPositions, JointTrajectory, JointVelocities, TrajectoryPoint
+from gibson_sim.robots.joints.commands import JointEfforts, JointPositions, JointTrajectory, JointVelocities, TrajectoryPoint
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.robots.urdf import Inertial, UrdfJoint, UrdfLink, UrdfModel
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.urdf import Inertial, UrdfJoint, UrdfLink, UrdfModel
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.joint_commands import JointEfforts
-from gibson_sim.robots.urdf import Inertial, UrdfJoint, UrdfLink, UrdfModel
+from gibson_sim.robots.joints.commands import JointEfforts
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose
 

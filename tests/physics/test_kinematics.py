@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.urdf import UrdfModel, read_urdf
 from gibson_sim.errors import CommandError
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_matrix, pose_from_xyz_rpy
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.joint_commands import JointPositions
-from gibson_sim.robots.kinematics import Chain, ChainSolution
+from gibson_sim.robots.joints.commands import JointPositions
+from gibson_sim.robots.joints.kinematics import Chain, ChainSolution
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.robots.urdf import UrdfModel, read_urdf
 from gibson_sim.scenes.spec import SceneSpec
 
 JOINTS = (

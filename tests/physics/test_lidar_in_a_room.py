@@ -8,9 +8,10 @@ from dataclasses import replace
 
 import pytest
 
+from gibson_sim.description.shapes import Shape
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.spec import RobotSpec, Shape
+from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
 from gibson_sim.sensors.lidar import Scan, measure_scan
 from gibson_sim.types import Pose

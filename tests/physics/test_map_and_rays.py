@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from gibson_sim.maps.floor_map import scene_floor_map
+from gibson_sim.maps.traversability import RobotSize, floor_maps
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.scenes.floor_map import scene_floor_map
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.maps.traversability import RobotSize, floor_maps
 from support.map_truth import agreement
 
 HEIGHT = 0.5

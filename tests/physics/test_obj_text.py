@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gibson_sim.physics.obj_text import shapes_alone
+from gibson_sim.description.body import BodySpec
+from gibson_sim.physics.engine_files import shapes_alone
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.body import BodySpec
 from gibson_sim.scenes.spawning import load_spawnable
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf import Inertial, UrdfCollision, UrdfLink, UrdfModel
 from gibson_sim.geometry.transforms import matrix_from_quat, pose_from_xyz_rpy
-from gibson_sim.making.objects.catalogue import OBJECTS
-from gibson_sim.making.objects.joined import JOINED, door_names
-from gibson_sim.making.objects.model import Joint, ObjectModel
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.spec import Shape
-from gibson_sim.robots.urdf import Inertial, UrdfCollision, UrdfLink, UrdfModel
 from gibson_sim.scenes.spawning import load_spawnable
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
 from gibson_sim.types import Pose, SceneState
+from gibson_sim_tools.making.objects.catalogue import OBJECTS
+from gibson_sim_tools.making.objects.joined import JOINED, door_names
+from gibson_sim_tools.making.objects.model import Joint, ObjectModel
 
 HZ = 240
 TABLE_Z = 0.75

@@ -8,16 +8,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.body import BodySpec
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
-from gibson_sim.robots.body import BodySpec
 from gibson_sim.scenes.spawning import load_spawnable
-from gibson_sim.tasks.doors import DoorChange, HingedDoor, backing_way, changed_door, hinged_door, scene_doors
-from gibson_sim.tasks.doorways import doorway, leaf_outline, with_bodies
 from gibson_sim.tasks.episode import View, item_body
 from gibson_sim.tasks.ground import Ground, ground_of
-from gibson_sim.tasks.open_door import DAMPINGS, FRICTIONS, HANDLE_HEIGHTS, OPEN, OpenDoor, episode_door
+from gibson_sim.tasks.kinds.open_door import DAMPINGS, FRICTIONS, HANDLE_HEIGHTS, OPEN, OpenDoor, episode_door
 from gibson_sim.tasks.run import TaskRun, run_episode
+from gibson_sim.tasks.scripts.doors import (
+    DoorChange,
+    HingedDoor,
+    backing_way,
+    changed_door,
+    doorway,
+    hinged_door,
+    leaf_outline,
+    scene_doors,
+    with_bodies,
+)
 from gibson_sim.types import Pose
 
 TASK = OpenDoor()

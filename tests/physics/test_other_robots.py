@@ -12,12 +12,12 @@ import cv2
 import numpy as np
 import pytest
 
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.urdf import parse_urdf
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.joint_commands import JointPositions
+from gibson_sim.robots.joints.commands import JointPositions
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.robots.urdf import parse_urdf
 from gibson_sim.scenes.robot_files import load_robot as measured
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import VelocityCommand

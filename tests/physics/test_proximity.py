@@ -7,12 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf import Inertial, UrdfCollision, UrdfJoint, UrdfLink, UrdfModel
 from gibson_sim.errors import PhysicsError
-from gibson_sim.physics.static_shapes import GROUND
-from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.spec import Shape
-from gibson_sim.robots.urdf import Inertial, UrdfCollision, UrdfJoint, UrdfLink, UrdfModel
+from gibson_sim.physics.world import GROUND, PhysicsWorld
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose, Vec3
 

@@ -10,10 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gibson_sim.description.shapes import Shape
 from gibson_sim.geometry.transforms import yaw_from_quat
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.sensor_specs import Lidar3DSpec, SensorSpecs
-from gibson_sim.robots.spec import RobotSpec, Shape
+from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
 from gibson_sim.sensors.suite import Measurements, SensorSuite
 from gibson_sim.types import Pose, VelocityCommand

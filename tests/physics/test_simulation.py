@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import gibson_sim as gs
-from gibson_sim.scenes.placement import populate
+from gibson_sim.maps.placement import populate
 from gibson_sim.sensors.suite import SensorSuite
 
 

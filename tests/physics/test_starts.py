@@ -9,12 +9,13 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.config import PhysicsConfig
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.shapes import Shape
 from gibson_sim.errors import StartError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.physics.engine import pybullet
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.spec import RobotSpec, Shape
+from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
 from gibson_sim.standard.codes import SimulationError, SpawnCode
 from gibson_sim.standard.filters import EntityFilters

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gibson_sim.bench.tasks import LooseRow, TaskPlan, TaskReport, TaskRow, measure, report_text
 from gibson_sim.cli.main import main
 from gibson_sim.errors import ConfigError
 from gibson_sim.tasks.episode import Action, View
 from gibson_sim.tasks.registry import task_of
 from gibson_sim.tasks.run import TaskRun
+from gibson_sim_bench.tasks import LooseRow, TaskPlan, TaskReport, TaskRow, measure, report_text
 
 
 @pytest.fixture(scope="module")

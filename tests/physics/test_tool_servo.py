@@ -11,15 +11,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf import Inertial, UrdfCollision, UrdfLink, UrdfModel
 from gibson_sim.errors import CommandError
 from gibson_sim.geometry.transforms import invert, matrix_from_pose
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.joint_commands import JointPositions
+from gibson_sim.robots.joints.commands import JointPositions
+from gibson_sim.robots.joints.servo import ToolTwist
 from gibson_sim.robots.load import load_robot
-from gibson_sim.robots.servo import ToolTwist
-from gibson_sim.robots.spec import RobotSpec, Shape
-from gibson_sim.robots.urdf import Inertial, UrdfCollision, UrdfLink, UrdfModel
+from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose, Vec3, VelocityCommand
 from support.arms import ARM_JOINTS, load_arm

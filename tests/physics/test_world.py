@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf import read_urdf
 from gibson_sim.errors import CommandError, ConfigError, PhysicsError
 from gibson_sim.geometry.transforms import matrices_from_poses, matrix_from_pose, pose_from_xyz_rpy
-from gibson_sim.physics.static_shapes import sound_triangles
-from gibson_sim.physics.world import PhysicsWorld
+from gibson_sim.physics.world import PhysicsWorld, sound_triangles
 from gibson_sim.robots.load import load_robot
-from gibson_sim.robots.spec import RobotSpec, Shape
-from gibson_sim.robots.urdf import read_urdf
+from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
 from gibson_sim.types import Pose, VelocityCommand
 

@@ -10,7 +10,7 @@ import pytest
 
 from gibson_sim.errors import GibsonSimError, GraphicsUnavailableError
 from gibson_sim.render.context import GlContext, list_devices, open_context
-from gibson_sim.render.cuda import CudaPython
+from gibson_sim.render.readback.cuda import CudaPython
 
 
 @pytest.fixture(scope="session")

@@ -13,12 +13,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.description.shapes import Shape, VisualSpec
+from gibson_sim.formats.load_mesh import primitive_mesh
+from gibson_sim.formats.mesh import Material, Mesh, MeshPart, area_normals
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, camera_pose, quat_from_matrix
-from gibson_sim.render.batches import Loader
+from gibson_sim.render.batching.batches import Loader
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.robots.spec import Shape, VisualSpec
-from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart, area_normals
-from gibson_sim.scenes.primitives import primitive_mesh
 from gibson_sim.scenes.spec import DrawnScene, LightSpec
 from gibson_sim.types import CameraSpec, Frame, Pose, Quat, Rgba, SceneState, Vec3
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+from gibson_sim.description.shapes import Shape, VisualSpec
+from gibson_sim.formats.load_mesh import primitive_mesh
+from gibson_sim.formats.mesh import Mesh
 from gibson_sim.geometry.transforms import pose_from_matrix
-from gibson_sim.render.batches import Loader
-from gibson_sim.robots.spec import Shape, VisualSpec
-from gibson_sim.scenes.generator.rooms import rooms_camera_path, rooms_parts
-from gibson_sim.scenes.mesh_types import Mesh
-from gibson_sim.scenes.primitives import primitive_mesh
+from gibson_sim.render.batching.batches import Loader
 from gibson_sim.types import Pose
+from gibson_sim_tools.generator.rooms import rooms_camera_path, rooms_parts
 
 TRIANGLES = 30_000
 

@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gibson_sim.render import gl_scene
-from gibson_sim.render.grouping import Grouping
+from gibson_sim.render.draw import gl_scene
+from gibson_sim.render.draw.grouping import Grouping
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame
 from render.drawing import BLUE, EYE, GREEN, RED, box, eye_at, scene, state

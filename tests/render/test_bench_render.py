@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from gibson_sim.bench.render import Plan, measure
-from gibson_sim.bench.scenes import bench_scene, export_for_peers
-from gibson_sim.bench.timing import FIVE
+from gibson_sim_bench.measured.scenes import bench_scene, export_for_peers
+from gibson_sim_bench.render import Plan, measure
+from gibson_sim_bench.timing import FIVE
 
 pytestmark = pytest.mark.egl
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from gibson_sim.bench.paper import MODES, SENSOR_ONLY
-from gibson_sim.bench.protocol import Plan, write_robot
-from gibson_sim.bench.rows import BULLET, COPY, HOST, OPENGL, TENSOR
-from gibson_sim.bench.table1 import measure
+from gibson_sim_bench.protocol import Plan, write_robot
+from gibson_sim_bench.reports.paper import MODES, SENSOR_ONLY
+from gibson_sim_bench.rows import BULLET, COPY, HOST, OPENGL, TENSOR
+from gibson_sim_bench.table1 import measure
 
 pytestmark = pytest.mark.egl
 

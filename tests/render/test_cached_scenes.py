@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
+from gibson_sim.description.shapes import Shape, VisualSpec
+from gibson_sim.formats.mesh import Mesh
 from gibson_sim.render import cache, renderer as module
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.robots.spec import Shape, VisualSpec
-from gibson_sim.scenes.mesh_types import Mesh
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.types import OUTPUTS, Frame
 from render.drawing import box, eye_at, loader_of, scene, state

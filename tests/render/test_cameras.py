@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gibson_sim.description.shapes import VisualSpec
+from gibson_sim.formats.mesh import Material, Mesh, MeshPart
 from gibson_sim.geometry.projections import back_project, project, rays, unproject
 from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_matrix, transform_points
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.robots.spec import VisualSpec
-from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame, Pose
 from render.drawing import DARK, EYE, box, draw, loader_of, mesh_visual, scene, state
 

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import GraphicsUnavailableError, RenderError
-from gibson_sim.render import gl as GL
-from gibson_sim.render.context import EglDevice, GlContext, open_context
-from gibson_sim.render.cuda import CudaDevice, CudaLink, CudaPython, find_device
-from gibson_sim.render.pixel_buffers import GlBuffer
-from gibson_sim.render.readback import Readback, Shot
-from gibson_sim.render.target import FEATURES, Target
-from gibson_sim.render.tensors import Tensors
+from gibson_sim.render.context import EglDevice, GlContext, gl as GL, open_context
+from gibson_sim.render.draw.target import FEATURES, Target
+from gibson_sim.render.readback.cuda import CudaDevice, CudaLink, CudaPython, find_device
+from gibson_sim.render.readback.frames import Readback, Shot
+from gibson_sim.render.readback.pixel_buffers import GlBuffer
+from gibson_sim.render.readback.tensors import Tensors
 from gibson_sim.types import OUTPUTS, CameraSpec
 from support.cuda import FakeCuda, fake_cuda, fetched
 from support.targets import fill, random_images
@@ -162,7 +161,7 @@ def test_opengl_and_cuda_agree_on_the_uuid_of_the_gpu(nvidia: tuple[GlContext, C
 def test_tensors_on_the_gpu_are_bit_equal_to_host_readback(
     nvidia: tuple[GlContext, CudaPython], with_torch: bool, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from gibson_sim.render import tensors as tensors_module
+    from gibson_sim.render.readback import tensors as tensors_module
 
     if not with_torch:
         monkeypatch.setattr(tensors_module, "_import_torch", lambda: None)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gibson_sim.formats.mesh import Material, Mesh, MeshPart
 from gibson_sim.geometry.transforms import matrix_from_pose
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart
 from render.drawing import eye_at, loader_of, mesh_visual, scene, state
 
 pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError, RenderError
 from gibson_sim.render.context import GlContext, open_context
-from gibson_sim.render.effects import EffectsPass, changes_colors, copy_image, noise_key, planckian_xy, white_balance_matrix
-from gibson_sim.render.target import Target
+from gibson_sim.render.draw.effects import EffectsPass, changes_colors, copy_image, noise_key, planckian_xy, white_balance_matrix
+from gibson_sim.render.draw.target import Target
 from gibson_sim.types import CameraSpec, ImageEffects
 
 pytestmark = pytest.mark.egl

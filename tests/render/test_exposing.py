@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gibson_sim.formats.mesh import Material
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.scenes.mesh_types import Material
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame, ImageEffects, SceneState
 from render.drawing import EYE, draw_mesh, facing_quad, loader_of, mesh_visual, quad, scene, state
 

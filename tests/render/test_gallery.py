@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.resources import find_config
-from gibson_sim.scenes.randomise_yaml import load_rules
+from gibson_sim.scenes.randomise import load_rules
 from gibson_sim.sensors.gallery import COLUMNS, HEIGHT, WIDTH, gallery, label_colors
 from gibson_sim.types import Pose
 from render.drawing import box, scene

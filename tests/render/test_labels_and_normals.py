@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gibson_sim.description.shapes import VisualSpec
 from gibson_sim.errors import ConfigError
+from gibson_sim.formats.load_mesh import primitive_mesh
+from gibson_sim.formats.mesh import Material, Mesh, MeshPart, TextureSource
 from gibson_sim.geometry.transforms import quat_from_rpy
-from gibson_sim.render.batches import MAX_LABEL
-from gibson_sim.render.building import build_batches
+from gibson_sim.render.batching.batches import MAX_LABEL
+from gibson_sim.render.batching.building import build_batches
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.robots.spec import VisualSpec
-from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart, TextureSource
-from gibson_sim.scenes.primitives import primitive_mesh
 from gibson_sim.types import OUTPUTS, Frame
 from render.drawing import AHEAD, BLUE, EYE, RED, box, draw, draw_mesh, facing_quad, loader_of, mesh_visual, scene, state
 

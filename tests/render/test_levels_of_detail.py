@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gibson_sim.formats.mesh import Mesh
 from gibson_sim.geometry.projections import rays
-from gibson_sim.render import clusters, joining
-from gibson_sim.render.batches import Loader
+from gibson_sim.render.batching import joining
+from gibson_sim.render.batching.batches import Loader
+from gibson_sim.render.lod import clusters
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.scenes.mesh_types import Mesh
 from gibson_sim.scenes.spec import DrawnScene
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame
 from render.drawing import EYE, eye_at, loader_of, mesh_visual, scene, state

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gibson_sim.description.shapes import Appearance, Shape, VisualSpec
 from gibson_sim.errors import SceneError
+from gibson_sim.formats.mesh import Material, TextureSource
 from gibson_sim.render.context import open_context
+from gibson_sim.render.draw.screen_pass import shader_text
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.render.screen_pass import shader_text
-from gibson_sim.robots.spec import Look, Shape, VisualSpec
-from gibson_sim.scenes.mesh_types import Material, TextureSource
 from gibson_sim.scenes.spec import LightSpec, PointLight
 from gibson_sim.types import Frame, Pose, Rgba, Vec3
 from render.drawing import EYE, draw, facing_quad, loader_of, mesh_visual, plate, scene, state
@@ -41,8 +41,8 @@ def srgb8(values: F64) -> F64:
 
 def ball(metallic: float, roughness: float, color: Rgba = WHITE) -> VisualSpec:
     """Returns a sphere of 0.8 m, 1.6 m ahead of the usual camera."""
-    look = Look(metallic=metallic, roughness=roughness)
-    return VisualSpec("ball", "", Shape("sphere", (0.8, 0.0, 0.0)), Pose((1.6, 0.0, 0.0)), color, "", look)
+    appearance = Appearance(metallic=metallic, roughness=roughness)
+    return VisualSpec("ball", "", Shape("sphere", (0.8, 0.0, 0.0)), Pose((1.6, 0.0, 0.0)), color, "", appearance)
 
 
 def seen(frame: Frame, every: int = 7) -> tuple[NDArray[np.uint8], F64, F64]:
@@ -336,7 +336,7 @@ def test_every_combination_of_lights_and_materials_compiles() -> None:
                 ("MOVING", "CUT", "TEXTURED", *surface, "LABELS", "NORMALS", "FLOW"),
             ):
                 defines = (*lit, *others)
-                before = ("view.glsl", "lighting.glsl", *(("looks.glsl",) if "LOOKED" in lit else ()))
+                before = ("view.glsl", "lighting.glsl", *(("appearances.glsl",) if "LOOKED" in lit else ()))
                 fragment = shader_text("scene.frag", defines, before)
                 context.gl.program(
                     vertex_shader=shader_text("scene.vert", defines, ("view.glsl",)), fragment_shader=fragment

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from gibson_sim.description.shapes import Shape, VisualSpec
 from gibson_sim.errors import MeshError
+from gibson_sim.formats.mesh import Material, Mesh, TextureSource
 from gibson_sim.geometry.projections import project
 from gibson_sim.geometry.transforms import invert, matrix_from_pose, transform_points
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.robots.spec import Shape, VisualSpec
-from gibson_sim.scenes.mesh_types import Material, Mesh, TextureSource
 from gibson_sim.scenes.spec import LightSpec
 from render.drawing import (
     BLUE,

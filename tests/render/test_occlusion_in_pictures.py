@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gibson_sim.render import gl_scene
+from gibson_sim.description.shapes import Shape, VisualSpec
+from gibson_sim.formats.load_mesh import primitive_mesh
+from gibson_sim.formats.mesh import Material, TextureSource
+from gibson_sim.render.draw import gl_scene
+from gibson_sim.render.draw.target import Target
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.render.target import Target
-from gibson_sim.robots.spec import Shape, VisualSpec
-from gibson_sim.scenes.mesh_types import Material, TextureSource
-from gibson_sim.scenes.primitives import primitive_mesh
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame, SceneState
 from render.drawing import BLUE, EYE, RED, box, quad, scene, state, where
 from render.rooms import rooms, way

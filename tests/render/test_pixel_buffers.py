@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import RenderError
-from gibson_sim.render import gl as GL
-from gibson_sim.render.context import GlContext, open_context
-from gibson_sim.render.pixel_buffers import RAW, Pending, PixelBuffers
-from gibson_sim.render.readback import Readback, Shot
-from gibson_sim.render.target import FEATURES, Target
+from gibson_sim.render.context import GlContext, gl as GL, open_context
+from gibson_sim.render.draw.target import FEATURES, Target
+from gibson_sim.render.readback.frames import Readback, Shot
+from gibson_sim.render.readback.pixel_buffers import RAW, Pending, PixelBuffers
 from gibson_sim.types import OUTPUTS, CameraSpec
 from support.targets import blank_images, fill, random_images
 

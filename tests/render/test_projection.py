@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gibson_sim.formats.mesh import Material
 from gibson_sim.geometry.projections import back_project, project
 from gibson_sim.geometry.transforms import invert, matrix_from_pose, transform_points
-from gibson_sim.scenes.mesh_types import Material
 from render.drawing import BLUE, EYE, GREEN, RED, box, draw, draw_mesh, eye_at, facing_quad, middle, plate, quad, where
 
 pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]

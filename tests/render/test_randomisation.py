@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
+from gibson_sim.description.shapes import Appearance, Pattern, Shape, VisualSpec
+from gibson_sim.formats.load_mesh import MeshLoader
+from gibson_sim.formats.mesh import Material, TextureSource
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.robots.spec import Look, Pattern, Shape, VisualSpec
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.mesh import MeshLoader, scene_roots
-from gibson_sim.scenes.mesh_types import Material, TextureSource
-from gibson_sim.scenes.randomise import ClassRules, Rules, TextureRules, randomise
-from gibson_sim.scenes.randomise_yaml import load_rules
+from gibson_sim.scenes.randomise import ClassRules, Rules, TextureRules, load_rules, randomise
+from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import DrawnScene, LightSpec, drawn_scene
 from gibson_sim.types import Frame, Pose
 from render.drawing import EYE, draw, eye_at, facing_quad, loader_of, mesh_visual, scene, state
@@ -59,15 +59,15 @@ def test_the_seed_decides_every_pixel_and_geometry_stays_as_it_is(flat: tuple[Dr
             np.testing.assert_array_equal(getattr(first, name), getattr(one, name))
 
 
-def _cube(look: Look) -> Frame:
+def _cube(appearance: Appearance) -> Frame:
     """Returns the picture of a box whose front, 1 m ahead, fills it: 2 x 2 m."""
-    visual = VisualSpec("cube", "", Shape("box", (2.0, 4.0, 4.0)), Pose((2.0, 0.0, 0.0)), (0.5, 0.5, 0.5, 1.0), "", look)
+    visual = VisualSpec("cube", "", Shape("box", (2.0, 4.0, 4.0)), Pose((2.0, 0.0, 0.0)), (0.5, 0.5, 0.5, 1.0), "", appearance)
     return draw(visual, light=BRIGHT)
 
 
 def test_a_checker_has_its_colours_and_its_size() -> None:
     # 8 cells repeat in 4 m: each is 0.5 m, 16 px at 1 m.
-    rgb = _cube(Look(pattern=Pattern("checker", colors=((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)), size=4.0))).rgb
+    rgb = _cube(Appearance(pattern=Pattern("checker", colors=((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)), size=4.0))).rgb
     assert rgb is not None
     red = (rgb[:, :, 0] > 200) & (rgb[:, :, 2] < 40)
     blue = (rgb[:, :, 2] > 200) & (rgb[:, :, 0] < 40)
@@ -79,15 +79,15 @@ def test_a_checker_has_its_colours_and_its_size() -> None:
 
 
 def test_stripes_stand_upright_on_walls() -> None:
-    rgb = _cube(Look(pattern=Pattern("stripes", colors=((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)), size=4.0))).rgb
+    rgb = _cube(Appearance(pattern=Pattern("stripes", colors=((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)), size=4.0))).rgb
     assert rgb is not None
     assert np.ptp(rgb[:, 8].astype(int)) == 0
     assert np.ptp(rgb[8].astype(int)) > 200
 
 
 def test_a_pattern_moves_with_its_link() -> None:
-    look = Look(pattern=Pattern("noise", 3, ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)), 1.0))
-    visual = VisualSpec("cube", "a/b", Shape("box", (1.0, 1.0, 1.0)), Pose((2.0, 0.0, 0.0)), None, "", look)
+    appearance = Appearance(pattern=Pattern("noise", 3, ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)), 1.0))
+    visual = VisualSpec("cube", "a/b", Shape("box", (1.0, 1.0, 1.0)), Pose((2.0, 0.0, 0.0)), None, "", appearance)
     with Renderer(scene(visual, links=("a/b",), light=BRIGHT)) as renderer:
         first = renderer.render(state(("a/b",), [(0.0, 0.0, 0.0)]), [EYE])[0].rgb
         away = renderer.render(state(("a/b",), [(0.0, 0.25, 0.0)]), [EYE])[0].rgb
@@ -100,7 +100,7 @@ def test_a_pattern_moves_with_its_link() -> None:
 
 def test_an_image_replaces_a_texture(tmp_path: Path) -> None:
     assert cv2.imwrite(str(tmp_path / "i.png"), np.full((8, 8, 3), (30, 60, 200), dtype=np.uint8))
-    rgb = _cube(Look(pattern=Pattern("image", image=str(tmp_path / "i.png")))).rgb
+    rgb = _cube(Appearance(pattern=Pattern("image", image=str(tmp_path / "i.png")))).rgb
     assert rgb is not None
     # A wall gets 85 % of the light from above and below.
     linear = 0.85 * (np.array([200, 60, 30]) / 255.0 + 0.055) ** 2.4 / 1.055**2.4
@@ -108,18 +108,18 @@ def test_an_image_replaces_a_texture(tmp_path: Path) -> None:
 
 
 def test_an_image_that_cannot_be_read_leaves_the_surface_as_it_is_with_a_warning(tmp_path: Path) -> None:
-    look = Look(pattern=Pattern("image", image=str(tmp_path / "none.png")))
-    visual = VisualSpec("cube", "", Shape("box", (2.0, 4.0, 4.0)), Pose((2.0, 0.0, 0.0)), (0.5, 0.5, 0.5, 1.0), "", look)
+    appearance = Appearance(pattern=Pattern("image", image=str(tmp_path / "none.png")))
+    visual = VisualSpec("cube", "", Shape("box", (2.0, 4.0, 4.0)), Pose((2.0, 0.0, 0.0)), (0.5, 0.5, 0.5, 1.0), "", appearance)
     with Renderer(scene(visual, light=BRIGHT)) as renderer:
         rgb = renderer.render(state(), [EYE])[0].rgb
         assert any("none.png" in w for w in renderer.warnings)
-    np.testing.assert_array_equal(rgb, _cube(Look()).rgb)
+    np.testing.assert_array_equal(rgb, _cube(Appearance()).rgb)
 
 
 def test_a_tint_turns_the_colours_of_a_texture() -> None:
     texture = TextureSource("test", np.full((4, 4, 3), (200, 40, 40), dtype=np.uint8))
     mesh = facing_quad(1.0, 1.0, Material(base_color=(1.0, 1.0, 1.0, 1.0), texture=texture, unlit=True))
-    with Renderer(scene(replace(mesh_visual(), look=Look(hue=1 / 3))), loader=loader_of(mesh)) as renderer:
+    with Renderer(scene(replace(mesh_visual(), appearance=Appearance(hue=1 / 3))), loader=loader_of(mesh)) as renderer:
         rgb = renderer.render(state(), [EYE])[0].rgb
     assert rgb is not None
     # A third of a turn takes red to green, and nothing else: unlit stays unlit.
@@ -132,7 +132,7 @@ def test_a_look_on_one_thing_changes_no_pixel_of_another() -> None:
         for name, y in (("left", 0.6), ("right", -0.6))
     )
     before = draw(left, right).rgb
-    after = draw(replace(left, look=Look(0.3, 1.5, 0.8, None, 1.0, 0.2)), right).rgb
+    after = draw(replace(left, appearance=Appearance(0.3, 1.5, 0.8, None, 1.0, 0.2)), right).rgb
     assert before is not None and after is not None
     np.testing.assert_array_equal(before[:, 32:], after[:, 32:])
     assert np.abs(before[:, :32].astype(int) - after[:, :32]).max() > 20

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import RenderError
-from gibson_sim.render import tensors as tensors_module
 from gibson_sim.render.context import GlContext
-from gibson_sim.render.cuda import CudaPython
+from gibson_sim.render.readback import tensors as tensors_module
+from gibson_sim.render.readback.cuda import CudaPython
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame
 from render.drawing import BLUE, EYE, GREEN, RED, box, eye_at, scene, state

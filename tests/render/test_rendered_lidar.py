@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gibson_sim.description.shapes import Shape, VisualSpec
 from gibson_sim.geometry.transforms import matrix_from_quat, quat_from_rpy
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.robots.load import load_robot
-from gibson_sim.robots.spec import Shape, VisualSpec
 from gibson_sim.scenes.load import load_scene, with_robots
 from gibson_sim.scenes.spec import drawn_scene
 from gibson_sim.sensors.lidar import world_rays

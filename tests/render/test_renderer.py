@@ -174,7 +174,7 @@ def test_an_image_too_large_for_the_driver_is_refused_and_the_next_is_drawn():
         try:
             renderer.render(state(), [huge])
         except RenderError as e:
-            assert "16384x1" in str(e)  # noqa: PT017 - drivers may be able to do it
+            assert "16384x1" in str(e)  # noqa: PT017
         assert renderer.render(state(), [EYE])[0].depth[32, 32] == pytest.approx(2.5, abs=1e-3)
 
 

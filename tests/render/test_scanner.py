@@ -11,14 +11,14 @@ import pytest
 
 from gibson_sim.cli import main as cli
 from gibson_sim.errors import ConfigError
-from gibson_sim.scanning.capture import ScanSettings, scan
-from gibson_sim.scanning.clean_scene import sample_surface, solid_triangles
-from gibson_sim.scanning.comparison import shown_points
-from gibson_sim.scanning.layouts import open_posed_rgbd
-from gibson_sim.scanning.posed_rgbd import ScanError
-from gibson_sim.scanning.settings import Defects, ScanCamera, TourSettings
-from gibson_sim.scanning.trajectories import read_stamped_poses
 from gibson_sim.scenes.load import load_scene
+from gibson_sim_tools.scanning.capture import ScanSettings, scan
+from gibson_sim_tools.scanning.clean_scene import sample_surface, solid_triangles
+from gibson_sim_tools.scanning.comparison import shown_points
+from gibson_sim_tools.scanning.layouts import open_posed_rgbd
+from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.settings import Defects, ScanCamera, TourSettings
+from gibson_sim_tools.scanning.trajectories import read_stamped_poses
 from support.scenes import write_room
 
 pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]

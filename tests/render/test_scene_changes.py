@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gibson_sim.description.shapes import Appearance, Pattern, Shape, VisualSpec
 from gibson_sim.errors import SceneMismatchError
-from gibson_sim.render import gl as GL
+from gibson_sim.formats.load_mesh import primitive_mesh
+from gibson_sim.formats.mesh import Material, Mesh, TextureSource
+from gibson_sim.render.context import gl as GL
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.robots.spec import Look, Pattern, Shape, VisualSpec
-from gibson_sim.scenes.mesh_types import Material, Mesh, TextureSource
-from gibson_sim.scenes.primitives import primitive_mesh
 from gibson_sim.scenes.spec import DrawnScene, LightSpec
 from gibson_sim.types import OUTPUTS, Frame, Pose, SceneState
 from render.drawing import BLUE, DARK, EYE, GREEN, RED, box, eye_at, facing_quad, loader_of, scene, state
@@ -120,12 +120,12 @@ def test_shadows_appear_with_the_first_body_of_a_scene_that_stood_still() -> Non
 
 
 def test_looks_and_patterns_of_bodies_are_theirs() -> None:
-    striped = replace(ROBOT, look=Look(pattern=Pattern("checker", 0, ((1.0, 0.0, 0.0), (1.0, 1.0, 1.0)), 0.2)))
-    cloudy = replace(CRATE, look=Look(hue=0.3, pattern=Pattern("noise", 5, ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)), 0.3)))
+    striped = replace(ROBOT, appearance=Appearance(pattern=Pattern("checker", 0, ((1.0, 0.0, 0.0), (1.0, 1.0, 1.0)), 0.2)))
+    cloudy = replace(CRATE, appearance=Appearance(hue=0.3, pattern=Pattern("noise", 5, ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)), 0.3)))
     plain = _scene(ROBOT)
     for after in (_scene(ROBOT, cloudy, revision=2), _scene(striped, cloudy, BALL, revision=2)):
         assert _equal(_changed(plain, after), _fresh(after))
-    later = _scene(ROBOT, replace(cloudy, look=striped.look), revision=3)
+    later = _scene(ROBOT, replace(cloudy, appearance=striped.appearance), revision=3)
     assert _equal(_changed(plain, _scene(ROBOT, cloudy, revision=2), later), _fresh(later))
 
 

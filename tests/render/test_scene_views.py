@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from gibson_sim.cli.main import main
-from gibson_sim.importing import views as module
-from gibson_sim.importing.views import contact_sheet, free_places, gallery_of_scenes
-from gibson_sim.scenes.floor_map import scene_floor_map
+from gibson_sim.maps.floor_map import scene_floor_map
 from gibson_sim.scenes.load import load_scene
+from gibson_sim_tools.importing import views as module
+from gibson_sim_tools.importing.views import contact_sheet, free_places, gallery_of_scenes
 from support.scenes import write_room
 
 CRATE = """<robot name="crate"><link name="crate">

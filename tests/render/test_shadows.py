@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gibson_sim.description.shapes import Shape, VisualSpec
+from gibson_sim.formats.mesh import Material, TextureSource
 from gibson_sim.geometry.projections import project
 from gibson_sim.geometry.transforms import invert, matrix_from_pose, transform_points
+from gibson_sim.render.draw.shadows import fit_sun
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.render.shadows import fit_sun
-from gibson_sim.robots.spec import Shape, VisualSpec
-from gibson_sim.scenes.mesh_types import Material, TextureSource
 from gibson_sim.scenes.spec import LightSpec
 from gibson_sim.types import Pose
 from render.drawing import BLUE, RED, box, draw, eye_at, loader_of, mesh_visual, quad, scene, state, where

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gibson_sim.making.planning.shipped import SHIPPED
+from gibson_sim.maps.placement import populate
 from gibson_sim.physics.world import PhysicsWorld
+from gibson_sim.render.culling.closed_solids import Insides
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.render.solids import Insides
-from gibson_sim.scenes.placement import populate
 from gibson_sim.scenes.spec import drawn_scene
 from gibson_sim.types import VelocityCommand
+from gibson_sim_tools.making.planning.shipped import SHIPPED
 
 pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
 FOLDER = Path(__file__).resolve().parents[2] / "scenes"

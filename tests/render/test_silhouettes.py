@@ -15,11 +15,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gibson_sim.description.shapes import Shape, VisualSpec
 from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_xyz_rpy
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.render.renderer import Renderer
 from gibson_sim.robots.load import load_robot
-from gibson_sim.robots.spec import RobotSpec, Shape, VisualSpec
+from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.spec import SceneSpec, drawn_scene
 from gibson_sim.types import CameraSpec, SceneState
 from render.drawing import eye_at

@@ -11,7 +11,7 @@ import pytest
 
 import gibson_sim as gs
 from gibson_sim import simulation
-from gibson_sim.scenes.placement import populate
+from gibson_sim.maps.placement import populate
 
 pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]
 

@@ -10,10 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_sim.errors import RenderError
+from gibson_sim.formats.mesh import Material, Mesh
 from gibson_sim.render.context import open_context
+from gibson_sim.render.draw.target import Target
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.render.target import Target
-from gibson_sim.scenes.mesh_types import Material, Mesh
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame
 from render.drawing import BLUE, EYE, RED, box, draw, draw_mesh, eye_at, loader_of, mesh_visual, quad, scene, state
 from support.surfaces import bumpy_sphere, textured

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
+from gibson_sim.formats.load_mesh import primitive_mesh
+from gibson_sim.formats.mesh import Mesh
+from gibson_sim.render.culling.closed_solids import Insides
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.render.solids import Insides
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.mesh_types import Mesh
-from gibson_sim.scenes.primitives import primitive_mesh
 from gibson_sim.scenes.spec import DrawnScene, drawn_scene
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame
 from render.drawing import BLUE, DARK, EYE, GREEN, RED, box, draw, draw_mesh, eye_at, loader_of, mesh_visual, scene, state, where

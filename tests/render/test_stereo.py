@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
+from gibson_sim.formats.mesh import Material, TextureSource
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.scenes.mesh_types import Material, TextureSource
 from gibson_sim.sensors.stereo import stereo_pair
 from render.drawing import EYE, facing_quad, loader_of, mesh_visual, scene, state
 

@@ -18,12 +18,12 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_sim.errors import RenderError
-from gibson_sim.render import tensors as tensors_module
 from gibson_sim.render.context import GlContext, open_context
-from gibson_sim.render.packing import Packer, layout
-from gibson_sim.render.readback import Shot, rays_f32
-from gibson_sim.render.target import FEATURES, Target
-from gibson_sim.render.tensors import TensorFrame, Tensors, tensors_of_frame
+from gibson_sim.render.draw.target import FEATURES, Target
+from gibson_sim.render.readback import tensors as tensors_module
+from gibson_sim.render.readback.frames import Shot, rays_f32
+from gibson_sim.render.readback.packing import Packer, layout
+from gibson_sim.render.readback.tensors import TensorFrame, Tensors, tensors_of_frame
 from gibson_sim.types import OUTPUTS, CameraSpec, Frame
 from support.cuda import FakeCuda, fake_cuda
 from support.targets import Images, blank_images, fill, random_images

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gibson_sim.formats.mesh import Material, TextureSource
+from gibson_sim.render.draw.scene_memory import _halved
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.render.textures import _halved
-from gibson_sim.scenes.mesh_types import Material, TextureSource
 from render.drawing import EYE, facing_quad, loader_of, mesh_visual, scene, state
 
 pytestmark = [pytest.mark.egl, pytest.mark.usefixtures("egl")]

@@ -10,10 +10,10 @@ from collections import Counter
 
 import pytest
 
-from gibson_sim.scanning.capture import ScanSettings, scan
-from gibson_sim.scanning.layouts import open_posed_rgbd
-from gibson_sim.scanning.settings import PRESETS, Defects, ScanCamera, TourSettings
 from gibson_sim.scenes.load import load_scene
+from gibson_sim_tools.scanning.capture import ScanSettings, scan
+from gibson_sim_tools.scanning.layouts import open_posed_rgbd
+from gibson_sim_tools.scanning.settings import PRESETS, Defects, ScanCamera, TourSettings
 from support.turning import depth_mesh, random_rotation, verdict
 
 ROTATIONS = int(os.environ.get("GIBSON_SIM_ROTATIONS", "8"))

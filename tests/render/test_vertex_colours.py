@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gibson_sim.render.clusters import build_clusters
+from gibson_sim.description.shapes import Appearance, VisualSpec
+from gibson_sim.formats.mesh import Material, Mesh
+from gibson_sim.render.lod.clusters import build_clusters
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.robots.spec import Look, VisualSpec
-from gibson_sim.scenes.mesh_types import Material, Mesh
 from render.drawing import EYE, draw_mesh, facing_quad, loader_of, mesh_visual, scene, state
 from support.surfaces import bumpy_grid
 
@@ -56,7 +56,7 @@ def test_a_colour_of_the_visual_replaces_them():
 
 def test_a_tint_turns_them():
     quad = colored_quad([(255, 0, 0)] * 4)
-    visual = replace(mesh_visual(), look=Look(saturation=0.0))
+    visual = replace(mesh_visual(), appearance=Appearance(saturation=0.0))
     rgb = seen(quad, visual)
     assert np.ptp(rgb) <= 2 and rgb[0] > 0
 

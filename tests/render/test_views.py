@@ -10,7 +10,7 @@ import pytest
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.geometry.projections import project, unproject
-from gibson_sim.render.views import GUARD, lookup, views_of
+from gibson_sim.render.draw.pinhole_views import GUARD, lookup, views_of
 from gibson_sim.types import CameraSpec, Pose
 
 PINHOLE = CameraSpec("eye", "", width=320, height=240, matrix=(155.0, 2.0, 150.5, 0.0, 148.0, 124.0, 0.0, 0.0, 1.0))

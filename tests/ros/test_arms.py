@@ -26,13 +26,13 @@ from std_srvs.srv import SetBool  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E402
 
 from gibson_msgs.msg import CollisionCount, GraspState  # noqa: E402
+from gibson_sim.description.body import BodySpec  # noqa: E402
+from gibson_sim.description.shapes import Shape  # noqa: E402
+from gibson_sim.description.urdf import Inertial, UrdfCollision, UrdfLink, UrdfModel  # noqa: E402
 from gibson_sim.physics.world import PhysicsWorld  # noqa: E402
-from gibson_sim.robots.body import BodySpec  # noqa: E402
-from gibson_sim.robots.spec import Shape  # noqa: E402
-from gibson_sim.robots.urdf import Inertial, UrdfCollision, UrdfLink, UrdfModel  # noqa: E402
-from gibson_sim.ros.arm_actions import control_actions  # noqa: E402
-from gibson_sim.ros.arm_interface import ArmInterface  # noqa: E402
-from gibson_sim.ros.executor import make_executor  # noqa: E402
+from gibson_sim.ros.nodes.node_main import make_executor  # noqa: E402
+from gibson_sim.ros.topics.arm_actions import control_actions  # noqa: E402
+from gibson_sim.ros.topics.arm_interface import ArmInterface  # noqa: E402
 from gibson_sim.scenes.spec import SceneSpec  # noqa: E402
 from gibson_sim.types import Pose  # noqa: E402
 
@@ -240,7 +240,7 @@ def test_gripper_stalls_at_what_it_holds(actions: Any, rig: Rig, listener: Liste
 
 def test_actions_that_cannot_be_offered_are_named(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
-    monkeypatch.setattr("gibson_sim.ros.arm_interface.control_actions", lambda: None)
+    monkeypatch.setattr("gibson_sim.ros.topics.arm_interface.control_actions", lambda: None)
     monkeypatch.setattr(rig.node, "get_logger", lambda: SimpleNamespace(warning=said.append))
     arms = ArmInterface(rig.node, replace(rig.scene.robots[0], namespace="lone"), lambda topic: None, 0)
     arms.close()

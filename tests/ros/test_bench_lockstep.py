@@ -10,9 +10,9 @@ require("rclpy", "gibson_msgs")
 
 import pytest  # noqa: E402
 
-from gibson_sim.bench.lockstep import BLOCKS, LockstepPlan  # noqa: E402
-from gibson_sim.bench.ros import Size  # noqa: E402
-from gibson_sim.cli.bench_lockstep import measure, report_text  # noqa: E402
+from gibson_sim_bench.cli.lockstep import measure, report_text  # noqa: E402
+from gibson_sim_bench.lockstep import BLOCKS, LockstepPlan  # noqa: E402
+from gibson_sim_bench.ros import Size  # noqa: E402
 
 pytestmark = pytest.mark.ros
 

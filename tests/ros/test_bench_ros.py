@@ -13,12 +13,12 @@ from support.simulation import require
 
 require("rclpy", "gibson_msgs")
 
-from gibson_sim.bench.ros import Listener, Plan, Size, Way  # noqa: E402
-from gibson_sim.bench.ros_report import report_text  # noqa: E402
-from gibson_sim.cli import bench_ros  # noqa: E402
-from gibson_sim.cli.bench_ros import measure  # noqa: E402
 from gibson_sim.cli.main import main  # noqa: E402
 from gibson_sim.standard.domain_lock import DomainLock  # noqa: E402
+from gibson_sim_bench.cli import ros as bench_ros  # noqa: E402
+from gibson_sim_bench.cli.ros import measure  # noqa: E402
+from gibson_sim_bench.reports.ros import report_text  # noqa: E402
+from gibson_sim_bench.ros import Listener, Plan, Size, Way  # noqa: E402
 
 pytestmark = pytest.mark.ros
 TINY = Plan(

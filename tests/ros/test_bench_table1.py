@@ -11,11 +11,11 @@ from support.simulation import require
 
 require("rclpy", "gibson_msgs")
 
-from gibson_sim.bench.paper import MODES  # noqa: E402
-from gibson_sim.bench.protocol import Plan, write_robot  # noqa: E402
-from gibson_sim.bench.rows import DDS, FREE, HOST, IN_PROCESS, OPENGL, Row  # noqa: E402
-from gibson_sim.cli.bench_table1 import _exchanged, _free, _lockstep  # noqa: E402
 from gibson_sim.cli.environment import node_environment  # noqa: E402
+from gibson_sim_bench.cli.table1 import _exchanged, _free, _lockstep  # noqa: E402
+from gibson_sim_bench.protocol import Plan, write_robot  # noqa: E402
+from gibson_sim_bench.reports.paper import MODES  # noqa: E402
+from gibson_sim_bench.rows import DDS, FREE, HOST, IN_PROCESS, OPENGL, Row  # noqa: E402
 
 pytestmark = pytest.mark.ros
 EXCHANGED = {mode.name: {"convert": 0.1, "encode": 0.1, "publish": 0.1, "transport": 0.1} for mode in MODES}
@@ -42,7 +42,7 @@ def test_one_simulation_in_lockstep_makes_ticks_of_each_row_in_turn(ros_domain: 
 
 
 def test_a_simulation_that_does_not_start_is_left_out_with_the_reason(ros_domain: int, tmp_path: Path, monkeypatch: Any) -> None:
-    monkeypatch.setattr("gibson_sim.cli.bench_table1.START_S", -110.0)  # of which the patience with a process is more
+    monkeypatch.setattr("gibson_sim_bench.cli.table1.START_S", -110.0)  # of which the patience with a process is more
     left_out: list[str] = []
     plan, sensor_only = Plan(scene="no_such_scene"), [mode for mode in MODES if not mode.outputs]
     with _lockstep(plan, node_environment(), tmp_path, left_out, 24, sensor_only) as make:

@@ -15,8 +15,8 @@ from rclpy.callback_groups import ReentrantCallbackGroup  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 from simulation_interfaces.srv import StepSimulation  # noqa: E402
 
-from gibson_sim.ros.deferred import DeferredResponse, DeferredService  # noqa: E402
-from gibson_sim.ros.executor import make_executor  # noqa: E402
+from gibson_sim.ros.nodes.node_main import make_executor  # noqa: E402
+from gibson_sim.ros.services.deferred import DeferredResponse, DeferredService  # noqa: E402
 
 pytestmark = pytest.mark.ros
 

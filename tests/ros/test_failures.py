@@ -99,7 +99,7 @@ def test_death_of_physics_ends_the_run_and_its_shared_memory_is_cleaned_up(ros_d
 def test_physics_node_started_by_hand_gives_way_to_the_time_of_another_machine(ros_domain: int, listener: Listener) -> None:
     # No lock tells of simulations elsewhere: it is what they publish.
     listener.node.create_publisher(Clock, "/clock", 1)
-    command = [sys.executable, "-m", "gibson_sim.ros.physics_node", "--ros-args", "-p", "scene:=arena"]
+    command = [sys.executable, "-m", "gibson_sim.ros.nodes.physics_node", "--ros-args", "-p", "scene:=arena"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 1, done.stderr
     assert "another node publishes /clock in this ROS domain" in done.stderr

@@ -15,7 +15,7 @@ from rcl_interfaces.msg import Parameter, ParameterValue  # noqa: E402
 from rcl_interfaces.srv import GetParameters, SetParameters, SetParametersAtomically  # noqa: E402
 from rclpy.node import Node  # noqa: E402
 
-from gibson_sim.ros.guarded_parameters import guard_parameters  # noqa: E402
+from gibson_sim.ros.nodes.node_main import guard_parameters  # noqa: E402
 
 pytestmark = pytest.mark.ros
 NO_TYPE = Parameter(name="rate", value=ParameterValue(type=77))

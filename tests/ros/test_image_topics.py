@@ -25,14 +25,15 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy, qos_profi
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2  # noqa: E402
 
 from gibson_msgs.msg import Scene, SceneState  # noqa: E402
+from gibson_sim.description.shapes import Shape, VisualSpec  # noqa: E402
 from gibson_sim.errors import ConfigError, GraphicsUnavailableError  # noqa: E402
 from gibson_sim.render.context import open_context  # noqa: E402
 from gibson_sim.resources import find_robot  # noqa: E402
 from gibson_sim.robots.load import load_robot  # noqa: E402
-from gibson_sim.robots.spec import Shape, VisualSpec  # noqa: E402
-from gibson_sim.ros import conversions, qos  # noqa: E402
-from gibson_sim.ros.render_node import RenderNode  # noqa: E402
-from gibson_sim.ros.snapshot_node import SnapshotNode  # noqa: E402
+from gibson_sim.ros import conversions  # noqa: E402
+from gibson_sim.ros.nodes.render_node import RenderNode  # noqa: E402
+from gibson_sim.ros.nodes.snapshot_node import SnapshotNode  # noqa: E402
+from gibson_sim.ros.topics import qos  # noqa: E402
 from gibson_sim.scenes.spec import DrawnScene, LightSpec  # noqa: E402
 from gibson_sim.sensors.image_codecs import encode_color  # noqa: E402
 from gibson_sim.types import OUTPUTS, CameraSpec, Pose, SceneState as State, Vec3  # noqa: E402

@@ -17,9 +17,10 @@ from rclpy.serialization import serialize_message  # noqa: E402
 
 from gibson_msgs.msg import TickDone  # noqa: E402
 from gibson_sim.config import PhysicsConfig  # noqa: E402
-from gibson_sim.ros import lockstep_gate, names  # noqa: E402
-from gibson_sim.ros.lockstep_gate import LockstepGate  # noqa: E402
-from gibson_sim.ros.physics_node import PhysicsNode  # noqa: E402
+from gibson_sim.ros.lockstep import lockstep_gate  # noqa: E402
+from gibson_sim.ros.lockstep.lockstep_gate import LockstepGate  # noqa: E402
+from gibson_sim.ros.nodes.physics_node import PhysicsNode  # noqa: E402
+from gibson_sim.ros.topics import names  # noqa: E402
 from gibson_sim.standard.lockstep import CAMERAS  # noqa: E402
 
 

@@ -15,7 +15,7 @@ require("rclpy", "gibson_msgs")
 from rclpy.node import Node  # noqa: E402
 from std_msgs.msg import String  # noqa: E402
 
-from gibson_sim.ros.node_main import is_running, run_node  # noqa: E402
+from gibson_sim.ros.nodes.node_main import is_running, run_node  # noqa: E402
 
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures("ros_domain")]
 

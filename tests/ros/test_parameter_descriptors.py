@@ -19,7 +19,7 @@ from rclpy.parameter import Parameter  # noqa: E402
 from gibson_sim.client_config import DriveConfig, RecordConfig, ReplayConfig, SnapshotConfig, TaskConfig  # noqa: E402
 from gibson_sim.config import PhysicsConfig, RenderConfig  # noqa: E402
 from gibson_sim.errors import ConfigError  # noqa: E402
-from gibson_sim.ros.params import config_from_parameters  # noqa: E402
+from gibson_sim.ros.nodes.params import config_from_parameters  # noqa: E402
 
 pytestmark = pytest.mark.ros
 Make = Callable[..., Node]

@@ -32,8 +32,8 @@ from gibson_sim.bags.reader import BagReader  # noqa: E402
 from gibson_sim.bags.stamps import stamp_ns  # noqa: E402
 from gibson_sim.bags.writer import BagWriter  # noqa: E402
 from gibson_sim.cli.environment import PARENT_VARIABLE  # noqa: E402
-from gibson_sim.ros import qos  # noqa: E402
 from gibson_sim.ros.conversions import time_to_msg  # noqa: E402
+from gibson_sim.ros.topics import qos  # noqa: E402
 from gibson_sim.standard.domain_lock import DomainLock  # noqa: E402
 from support.clients import DEEP, LATCHED, Control, LaunchedNode  # noqa: E402
 

@@ -21,8 +21,8 @@ from simulation_interfaces.srv import LoadWorld, SetEntityState, SpawnEntity, Un
 from gibson_msgs.msg import Input, SceneState  # noqa: E402
 from gibson_sim.bags.reader import BagReader  # noqa: E402
 from gibson_sim.bags.writer import BagWriter  # noqa: E402
-from gibson_sim.cli.exit_codes import ExitCode  # noqa: E402
 from gibson_sim.cli.main import main  # noqa: E402
+from gibson_sim.cli.parser import ExitCode  # noqa: E402
 from support.clients import DEEP, Control  # noqa: E402
 
 pytestmark = pytest.mark.ros

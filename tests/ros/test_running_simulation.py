@@ -217,7 +217,9 @@ def test_second_simulation_in_the_domain_is_refused(sim: Launched) -> None:
 
 def test_physics_node_started_by_hand_refuses_too_and_disturbs_nothing(sim: Launched, listener: Listener) -> None:
     reloads = sum("triangles" in line for line in sim.lines)
-    done = subprocess.run([sys.executable, "-m", "gibson_sim.ros.physics_node"], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-m", "gibson_sim.ros.nodes.physics_node"], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 1
     assert sum("triangles" in line for line in sim.lines) == reloads, "the renderer took up another scene"
     assert "a simulation runs in ROS domain" in done.stderr

@@ -18,10 +18,10 @@ from tf2_msgs.msg import TFMessage  # noqa: E402
 from gibson_msgs.msg import Scene, SceneState  # noqa: E402
 from gibson_sim.config import PhysicsConfig  # noqa: E402
 from gibson_sim.errors import ConfigError  # noqa: E402
+from gibson_sim.maps.placement import populate  # noqa: E402
 from gibson_sim.physics.world import PhysicsWorld  # noqa: E402
 from gibson_sim.ros import conversions  # noqa: E402
-from gibson_sim.ros.world_interface import WorldInterface  # noqa: E402
-from gibson_sim.scenes.placement import populate  # noqa: E402
+from gibson_sim.ros.topics.world_interface import WorldInterface  # noqa: E402
 
 pytestmark = pytest.mark.ros
 

@@ -48,7 +48,7 @@ class LaunchedNode(Launched):
     """One node as a user starts it by hand, without the launcher."""
 
     def __init__(self, node: str, *ros_arguments: str, env: dict[str, str] | None = None) -> None:
-        command = [sys.executable, "-u", "-m", f"gibson_sim.ros.{node}_node", "--ros-args", *ros_arguments]
+        command = [sys.executable, "-u", "-m", f"gibson_sim.ros.nodes.{node}_node", "--ros-args", *ros_arguments]
         self._start(command, {**node_environment(), **(env or {})})
 
     def kill(self) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import RenderError
 from gibson_sim.render.context import GlContext
-from gibson_sim.render.cuda import CudaDevice
+from gibson_sim.render.readback.cuda import CudaDevice
 
 DLPACK_CPU = 1
 

@@ -11,9 +11,10 @@ import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from gibson_sim.description.shapes import Shape
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.path_tracking import ScriptedDrive
-from gibson_sim.robots.spec import RobotSpec, Shape
+from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
 from gibson_sim.sensors.suite import SensorSuite
 from gibson_sim.types import Pose, VelocityCommand

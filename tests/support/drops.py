@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from gibson_sim.maps.free_poses import random_free_poses
+from gibson_sim.maps.traversability import RobotSize, floor_maps
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.load import with_robots
-from gibson_sim.scenes.maps.poses import random_free_poses
-from gibson_sim.scenes.maps.traversability import RobotSize, floor_maps
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose
 

@@ -13,7 +13,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Image, LaserScan
 
 from gibson_msgs.msg import TickDigest
-from gibson_sim.ros.lockstep_client import LockstepParticipant
+from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
 from support.clients import DEEP, stamp_ns
 from support.simulation import Listener
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from gibson_sim.scenes.floor_map import FLOOR_CLEARANCE, FloorMap
+from gibson_sim.maps.floor_map import FLOOR_CLEARANCE, FloorMap
 
 F64 = NDArray[np.float64]
 CastRays = Callable[[F64, F64, float], F64]

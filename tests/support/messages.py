@@ -9,7 +9,7 @@ import numpy as np
 from nav_msgs.msg import Odometry as RosOdometry
 from sensor_msgs.msg import JointState
 
-from gibson_sim.robots.odometry_errors import OdometryCovariance
+from gibson_sim.robots.drives.odometry_errors import OdometryCovariance
 from gibson_sim.ros.conversions import header_to_msg, odometry_pose, planar_covariance, pose_to_msg, vector_to_msg
 from gibson_sim.types import WORLD_FRAME, JointStates, Odometry, Pose
 

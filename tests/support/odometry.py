@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from gibson_sim.robots.drive_spec import DifferentialSpec
 from gibson_sim.robots.drives import make_drive
 from gibson_sim.robots.drives.differential import wheel_speeds
+from gibson_sim.robots.drives.wheel_odometry import WheelOdometry
 from gibson_sim.robots.sensor_specs import WheelOdometrySpec
-from gibson_sim.robots.wheel_odometry import WheelOdometry
 from gibson_sim.types import NS_PER_S
 
 F64 = NDArray[np.float64]

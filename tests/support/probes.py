@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.description.shapes import Shape
+from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.physics.bullet import Bullet
-from gibson_sim.robots.spec import Shape
-from gibson_sim.scenes.mesh import load_mesh
 from gibson_sim.types import Pose
 
 _URDF = """<robot name="probe"><link name="probe">

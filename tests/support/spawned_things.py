@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.formats.load_mesh import load_shape
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
-from gibson_sim.scenes.mesh import load_shape
 from gibson_sim.scenes.spawning import load_spawnable
 from gibson_sim.types import Pose
 

@@ -9,12 +9,12 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.render import joining
-from gibson_sim.render.batches import Batches
-from gibson_sim.render.building import build_batches
-from gibson_sim.render.clusters import places
-from gibson_sim.robots.spec import Shape, VisualSpec
-from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart, TextureSource, area_normals
+from gibson_sim.description.shapes import Shape, VisualSpec
+from gibson_sim.formats.mesh import Material, Mesh, MeshPart, TextureSource, area_normals
+from gibson_sim.render.batching import joining
+from gibson_sim.render.batching.batches import Batches
+from gibson_sim.render.batching.building import build_batches
+from gibson_sim.render.lod.clusters import places
 
 F32 = NDArray[np.float32]
 I64 = NDArray[np.int64]

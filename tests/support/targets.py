@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.render import gl as GL
-from gibson_sim.render.context import GlContext
-from gibson_sim.render.pixel_buffers import RAW
-from gibson_sim.render.target import Target
+from gibson_sim.render.context import GlContext, gl as GL
+from gibson_sim.render.draw.target import Target
+from gibson_sim.render.readback.pixel_buffers import RAW
 
 Images = dict[str, NDArray[Any]]
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim.importing.gravity import guess_up
-from gibson_sim.scanning.posed_rgbd import PosedRgbd
+from gibson_sim_tools.importing.gravity import guess_up
+from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd
 
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.spec import Shape
-from gibson_sim.robots.urdf import Inertial, UrdfCollision, UrdfLink, UrdfModel, UrdfVisual
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf import Inertial, UrdfCollision, UrdfLink, UrdfModel, UrdfVisual
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose
 

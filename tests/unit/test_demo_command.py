@@ -13,7 +13,7 @@ from gibson_sim.cli.demo import VIEW, _plan, _report, add_parser
 from gibson_sim.cli.main import main
 from gibson_sim.scenes.load_views import read_views
 from gibson_sim.tasks.ground import ground_of
-from gibson_sim.tasks.open_door import OpenDoor, episode_door
+from gibson_sim.tasks.kinds.open_door import OpenDoor, episode_door
 
 
 def _args(*words: str) -> argparse.Namespace:

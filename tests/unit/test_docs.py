@@ -45,7 +45,7 @@ def test_every_command_has_the_options_that_exist(page: Path, capsys: pytest.Cap
         words = [word for word in shlex.split(command, comments=True) if word not in ("...", "&")]
         words = words[: next((k for k, word in enumerate(words) if word in ("&&", "|", ">", ";")), len(words))]
         try:
-            command_line._parser(words[0]).parse_args(words)
+            command_line._parser(words).parse_args(words)
         except SystemExit as end:
             error = capsys.readouterr().err
             if end.code and (whole or not any(text in error for text in INCOMPLETE)):

@@ -13,7 +13,7 @@ from gibson_sim.cli.launching import CONFIGS, Plan, arguments, plan
 from gibson_sim.cli.params import allowed
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import GibsonSimError
-from gibson_sim.ros import start
+from gibson_sim.ros.nodes import start
 from support.launching import Context, Exit, LaunchFile, Said
 
 ALL_OF_A_FILE = """
@@ -155,7 +155,7 @@ def test_programs_that_it_starts_exist_and_get_the_file_before_the_arguments(
     assert launch_file.warnings == ["argument 'sead' is unknown and changes nothing; did you mean 'seed'?"]
     for node in nodes:
         program = node.options["executable"]
-        assert f"{program} = gibson_sim.ros.start:{program}" in setup
+        assert f"{program} = gibson_sim.ros.nodes.start:{program}" in setup
         assert callable(getattr(start, program))
         assert node.options["parameters"][0] == str(params_file)
     physics, render = nodes

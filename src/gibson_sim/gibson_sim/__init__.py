@@ -41,7 +41,7 @@ _HOMES = {
     "gibson_sim.scenes.spawning": ("SpawnError",),
     "gibson_sim.scenes.spec": ("DrawnScene", "LightSpec", "PointLight", "SceneSpec", "drawn_scene"),
     "gibson_sim.robots.spec": ("RobotSpec",),
-    "gibson_sim.robots.body": ("BodySpec",),
+    "gibson_sim.description.body": ("BodySpec",),
     "gibson_sim.geometry.transforms": ("camera_pose",),
     "gibson_sim.sensors.lidar": ("Scan",),
     "gibson_sim.types": (
@@ -58,22 +58,33 @@ _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
 if TYPE_CHECKING:
     from gibson_sim.errors import (
-        CommandError, ConfigError, EnvironmentProblemError, GibsonSimError, GraphicsUnavailableError, MeshError, PhysicsError,
-        RenderError, RobotError, SceneError, SceneMismatchError, SceneNotFoundError, StartError,
+        CommandError, ConfigError, EnvironmentProblemError, GibsonSimError, GraphicsUnavailableError, MeshError,
+        PhysicsError, RenderError, RobotError, SceneError, SceneMismatchError, SceneNotFoundError, StartError,
     )  # fmt: skip
     from gibson_sim.geometry.transforms import camera_pose
     from gibson_sim.physics.world import PhysicsWorld
     from gibson_sim.render.renderer import Renderer
     from gibson_sim.resources import list_robots, list_scenes
-    from gibson_sim.robots.body import BodySpec
+    from gibson_sim.description.body import BodySpec
     from gibson_sim.robots.spec import RobotSpec
     from gibson_sim.scenes.load import load_scene
     from gibson_sim.scenes.robot_files import load_robot
     from gibson_sim.scenes.spawnables import list_objects
     from gibson_sim.scenes.spawning import SpawnError
-    from gibson_sim.scenes.spec import DrawnScene, LightSpec, PointLight, SceneSpec, drawn_scene
+    from gibson_sim.scenes.spec import (
+        DrawnScene,
+        LightSpec,
+        PointLight,
+        SceneSpec,
+        drawn_scene,
+    )
     from gibson_sim.sensors.lidar import Scan
-    from gibson_sim.simulation import Body, Robot, SavedRun, Simulation
+    from gibson_sim.simulation import (
+        Body,
+        Robot,
+        SavedRun,
+        Simulation,
+    )
     from gibson_sim.types import (
         OUTPUTS, CameraSpec, Contact, DepthNoise, Frame, ImageEffects, JointStates, Odometry, Pose, SceneState, VelocityCommand,
     )  # fmt: skip

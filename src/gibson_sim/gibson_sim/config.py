@@ -1,6 +1,6 @@
 """The settings of the nodes that simulate: each stands once, with its unit, limits and meaning; ``client_config`` has those of all others.
 
-The same dataclass is filled from ROS parameters (``ros/params.py``), from command-line options (``cli``) and from Python, and is
+The same dataclass is filled from ROS parameters (``ros/nodes/params.py``), from command-line options (``cli``) and from Python, and is
 printed as a table by ``gibson-sim params --markdown``. An impossible value fails with the same words everywhere.
 """
 

@@ -14,20 +14,20 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 import numpy as np
 
 from gibson_sim.config import PhysicsConfig
+from gibson_sim.description.body import BodySpec
 from gibson_sim.errors import CommandError, ConfigError, GibsonSimError, PhysicsError
 from gibson_sim.geometry.transforms import quat_from_rpy, yaw_from_quat
+from gibson_sim.maps.floor_extent import extent_of_scene
+from gibson_sim.maps.placement import in_namespace, place_robots, start_pose
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.quoting import quoted
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.joint_commands import JointPositions
+from gibson_sim.robots.joints.commands import JointPositions
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.scenes.floor_extent import extent_of_scene
 from gibson_sim.scenes.load import load_scene, with_robots
 from gibson_sim.scenes.load_views import read_views
-from gibson_sim.scenes.placement import in_namespace, place_robots, start_pose
 from gibson_sim.scenes.spawning import load_spawnable
 from gibson_sim.scenes.spec import DrawnScene, LightSpec, SceneSpec, drawn_scene
-from gibson_sim.scenes.view_links import Views
+from gibson_sim.scenes.views import Views
 from gibson_sim.sensors.battery import BatteryReading
 from gibson_sim.sensors.bumper import BumperReading
 from gibson_sim.sensors.depth_noise import apply_depth_noise
@@ -51,8 +51,8 @@ from gibson_sim.types import (
 )
 
 if TYPE_CHECKING:
+    from gibson_sim.render.readback.tensors import TensorFrame
     from gibson_sim.render.renderer import Renderer
-    from gibson_sim.render.tensors import TensorFrame
 
 Reading = ImuReading | BumperReading | BatteryReading
 

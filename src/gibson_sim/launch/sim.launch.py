@@ -15,9 +15,8 @@ from launch.events import Shutdown
 from launch_ros.actions import Node
 
 from gibson_sim.cli.environment import enclave_variables
-from gibson_sim.cli.job import MAX_RESTARTS, RESTART_WINDOW_S, USER_ERROR
+from gibson_sim.cli.job import MAX_RESTARTS, RESTART_WINDOW_S, USER_ERROR, Restarts
 from gibson_sim.cli.launching import arguments, misspelt, plan
-from gibson_sim.cli.restarts import Restarts
 from gibson_sim.reach import describe_reach, reach_variables
 
 

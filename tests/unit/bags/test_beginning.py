@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from gibson_sim.bags.beginning import Beginning
+from gibson_sim.bags.recording import Beginning
 
 S = 10**9
 

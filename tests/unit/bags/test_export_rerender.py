@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gibson_sim.bags.copying import definitions_of, offered_qos
 from gibson_sim.bags.reader import BagReader, TopicInfo
 from gibson_sim.bags.rerender import SceneTopics, Schedule, scene_topics, topics_to_copy
 from gibson_sim.bags.writer import BagWriter, TopicQos
 from gibson_sim.errors import RecordError, RobotError
-from gibson_sim.robots.load_cameras import load_cameras
+from gibson_sim.robots.loading.cameras import load_cameras
+from gibson_sim.ros.nodes.render_bag import definitions_of, offered_qos
 from gibson_sim.sensors.schedule import is_due
 from gibson_sim.types import CameraSpec, SceneState
 

@@ -14,7 +14,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 import gibson_sim.bags.writer as writer_module
-from gibson_sim.bags.room import EMERGENCY_BYTES, MIB, DiskFullError
+from gibson_sim.bags.folders import EMERGENCY_BYTES, MIB, DiskFullError
 from gibson_sim.bags.writer import BagWriter
 from gibson_sim.errors import RecordError
 

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from gibson_sim.bags.losses import Losses
+from gibson_sim.ros.recording.intake import Losses
 
 
 def _noted(*numbers: int | None) -> dict[str, int]:

@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer as RosbagsWriter
 
-import gibson_sim.bags.sink as sink_module
+import gibson_sim.bags.mcap_file as sink_module
 from gibson_sim.bags.mcap_file import LARGE_BYTES
 from gibson_sim.bags.writer import BagWriter, TopicQos
 from gibson_sim.errors import RecordError

@@ -8,15 +8,14 @@ import cv2
 import numpy as np
 import pytest
 
-from gibson_sim.bench.houses import divided, make_scan, opened
-from gibson_sim.bench.memory import drift, growth
+from gibson_sim.description.shapes import Shape
 from gibson_sim.errors import SceneError
-from gibson_sim.render.solids import find_solids
-from gibson_sim.robots.spec import Shape
+from gibson_sim.formats.load_mesh import load_mesh, primitive_mesh
+from gibson_sim.formats.mesh import MeshPart, area_normals
+from gibson_sim.render.culling.closed_solids import find_solids
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.mesh import load_mesh
-from gibson_sim.scenes.mesh_types import MeshPart, area_normals
-from gibson_sim.scenes.primitives import primitive_mesh
+from gibson_sim_bench.measured.houses import divided, make_scan, opened
+from gibson_sim_bench.memory import drift, growth
 
 CORNERS = np.array([[0.0, 0, 0], [4, 0, 0], [4, 1, 0], [0, 1, 0]])
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]])

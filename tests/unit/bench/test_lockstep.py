@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import pytest
 
-from gibson_sim.bench.lockstep import BLOCKS, WAYS, LockstepReport, Turns, case_of, in_turns, rate_of, targets
-from gibson_sim.bench.protocol import TICK_WARM_UP
-from gibson_sim.bench.ros import Size
+from gibson_sim_bench.lockstep import BLOCKS, WAYS, LockstepReport, Turns, case_of, in_turns, rate_of, targets
+from gibson_sim_bench.protocol import TICK_WARM_UP
+from gibson_sim_bench.ros import Size
 
 
 def _turns(physics: float, draw: float | None, **others: float) -> Turns:

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from gibson_sim.bench.compare import changes, compare_text
-from gibson_sim.bench.page import BEGIN, END, write_page
-from gibson_sim.bench.scaling import KINDS, ScalingReport, ScalingRow, kinds_of
-from gibson_sim.bench.soak import Samples, SoakReport
 from gibson_sim.cli.main import main
 from gibson_sim.errors import ConfigError
+from gibson_sim_bench.reports.compare import changes, compare_text
+from gibson_sim_bench.reports.page import BEGIN, END, write_page
+from gibson_sim_bench.scaling import KINDS, ScalingReport, ScalingRow, kinds_of
+from gibson_sim_bench.soak import Samples, SoakReport
 from unit.bench.test_render import REPORT as PEERS
 from unit.bench.test_rows import FACTS, REPORT as TABLE
 

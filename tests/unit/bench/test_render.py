@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gibson_sim.bench import render
-from gibson_sim.bench.render import Plan, Report, Row, against_peers, growth, rounds
-from gibson_sim.bench.render_report import report_text, table
-from gibson_sim.bench.scenes import parse_count, path_along
-from gibson_sim.bench.timing import FIVE
-from gibson_sim.bench.workers import Worker, WorkerError
-from gibson_sim.cli import bench as cli, bench_peers
 from gibson_sim.errors import ConfigError
+from gibson_sim_bench import render
+from gibson_sim_bench.cli import bench as cli, peers as bench_peers
+from gibson_sim_bench.measured.scenes import parse_count, path_along
+from gibson_sim_bench.render import Plan, Report, Row, against_peers, growth, rounds
+from gibson_sim_bench.reports.render import report_text, table
+from gibson_sim_bench.timing import FIVE
+from gibson_sim_bench.workers import Worker, WorkerError
 
 RGB_DEPTH = ("rgb", "depth")
 
@@ -152,18 +152,18 @@ def test_what_cannot_be_planned_is_refused(words: tuple[str, str]) -> None:
 
 
 def test_a_worker_that_cannot_start_its_renderer_says_so_in_one_line() -> None:
-    with Worker("gibson_sim.bench.peers") as worker, pytest.raises(WorkerError, match="KeyError: 'none'"):
+    with Worker("gibson_sim_bench.peers") as worker, pytest.raises(WorkerError, match="KeyError: 'none'"):
         worker.ask("open", engine="none")
 
 
 def test_a_worker_whose_process_is_gone_is_an_error() -> None:
-    with Worker("gibson_sim.bench.not_there") as worker, pytest.raises(WorkerError, match="ended with code 1"):
+    with Worker("gibson_sim_bench.not_there") as worker, pytest.raises(WorkerError, match="ended with code 1"):
         worker.ask("open", engine="none")
 
 
 def test_an_interpreter_that_is_not_there_is_an_error_of_the_worker() -> None:
     with pytest.raises(WorkerError, match="no_such_python cannot be run"):
-        Worker("gibson_sim.bench.peers", "/no_such_python")
+        Worker("gibson_sim_bench.peers", "/no_such_python")
 
 
 def test_missing_peers_are_lines_and_not_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

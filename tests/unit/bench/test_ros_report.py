@@ -11,8 +11,12 @@ from pathlib import Path
 import pytest
 import yaml
 
-from gibson_sim.bench.protocol import write_changed_robot
-from gibson_sim.bench.ros import (
+from gibson_sim.errors import ConfigError
+from gibson_sim.robots.load import load_robot
+from gibson_sim_bench.cli import ros as cli
+from gibson_sim_bench.protocol import write_changed_robot
+from gibson_sim_bench.reports.ros import report_text
+from gibson_sim_bench.ros import (
     ClockCost,
     Pipeline,
     Plan,
@@ -25,10 +29,6 @@ from gibson_sim.bench.ros import (
     spread,
     targets,
 )
-from gibson_sim.bench.ros_report import report_text
-from gibson_sim.cli import bench_ros as cli
-from gibson_sim.errors import ConfigError
-from gibson_sim.robots.load import load_robot
 
 MS = 1_000_000
 VGA = Size(640, 480)

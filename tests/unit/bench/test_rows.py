@@ -10,9 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from gibson_sim.bench.paper import FILLED, MODES, SENSOR_ONLY
-from gibson_sim.bench.protocol import STEP_HZ, Commands, Plan, write_robot
-from gibson_sim.bench.rows import (
+from gibson_sim.errors import ConfigError
+from gibson_sim.robots.load import load_robot
+from gibson_sim_bench.cli import table1 as cli
+from gibson_sim_bench.protocol import STEP_HZ, Commands, Plan, write_robot
+from gibson_sim_bench.reports.paper import FILLED, MODES, SENSOR_ONLY
+from gibson_sim_bench.reports.table1 import report_text
+from gibson_sim_bench.rows import (  # fmt: skip
     BULLET,
     COPY,
     DDS,
@@ -30,12 +34,8 @@ from gibson_sim.bench.rows import (
     row_of,
     table_of,
     targets,
-)  # fmt: skip
-from gibson_sim.bench.table1_report import report_text
-from gibson_sim.bench.timing import Facts
-from gibson_sim.cli import bench_table1 as cli
-from gibson_sim.errors import ConfigError
-from gibson_sim.robots.load import load_robot
+)
+from gibson_sim_bench.timing import Facts
 
 MS = 1_000_000
 EXCHANGED = {"convert": 0.1, "encode": 0.2, "publish": 0.3, "transport": 0.7}

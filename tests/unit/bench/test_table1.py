@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from gibson_sim.bench.protocol import BLOCK
-from gibson_sim.bench.table1 import in_turns
+from gibson_sim_bench.protocol import BLOCK
+from gibson_sim_bench.table1 import in_turns
 
 
 def test_frames_their_parts_and_another_way_have_turns() -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 
-from gibson_sim.bench.tensors import Case, Report, _cameras, table
 from gibson_sim.types import OUTPUTS
+from gibson_sim_bench.tensors import Case, Report, _cameras, table
 
 REPORT = Report(
     "2026-01-02T03:04:05+00:00", "x86_64, 2 x CPU", "a GPU", "4.6", "cuda:0", "2.13.0", 1_000_000, 20, 50,

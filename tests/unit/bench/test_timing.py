@@ -6,8 +6,8 @@ import math
 
 import pytest
 
-from gibson_sim.bench import timing
-from gibson_sim.bench.timing import Rates, rates_of, ratio
+from gibson_sim_bench import timing
+from gibson_sim_bench.timing import Rates, rates_of, ratio
 
 
 def test_the_median_rate_is_one_over_the_median_time() -> None:

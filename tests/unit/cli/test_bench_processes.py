@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
-from gibson_sim.cli import bench_processes as module
-from gibson_sim.cli.bench_processes import BenchError, conversation
+from gibson_sim_bench.cli import processes as module
+from gibson_sim_bench.cli.processes import BenchError, conversation
 
 ADDER = "import sys, json; [print(json.dumps({'sum': sum(json.loads(line)['numbers'])}), flush=True) for line in sys.stdin]"
 

@@ -142,7 +142,7 @@ def test_ctrl_c_before_time_begins_is_an_interruption_and_leaves_no_empty_bag(
 
 
 def test_full_disk_is_refused_before_anything_starts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gibson_sim.bags.room.shutil.disk_usage", lambda _: argparse.Namespace(free=10 * 2**20))
+    monkeypatch.setattr("gibson_sim.bags.folders.shutil.disk_usage", lambda _: argparse.Namespace(free=10 * 2**20))
     with pytest.raises(Exception, match="has 10 MiB left, recording needs more than 132 MiB"):
         _run(tmp_path, monkeypatch, "--reserve-mb", "130")
 
@@ -151,7 +151,7 @@ def test_summary_that_cannot_be_written_keeps_nothing_else_from_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made: list[Path] = []
-    monkeypatch.setattr("gibson_sim.cli.pictures.write_pictures", lambda bag, video: made.append(video) or [video])
+    monkeypatch.setattr("gibson_sim.cli.job.write_pictures", lambda bag, video: made.append(video) or [video])
     (tmp_path / "record.json").write_text('{"messages": {"/a": 1}, "lost": {}, "error": ""}')
     (tmp_path / "file").touch()
     files = ("--summary", str(tmp_path / "file/a.json"), "--video", str(tmp_path / "a.mp4"))

@@ -12,10 +12,9 @@ from typing import Any
 import pytest
 
 from gibson_sim.cli import job, processes
-from gibson_sim.cli.exit_codes import ExitCode
-from gibson_sim.cli.job import Job, JobRun
+from gibson_sim.cli.job import Job, JobRun, Restarts
+from gibson_sim.cli.parser import ExitCode
 from gibson_sim.cli.processes import NodeProcess
-from gibson_sim.cli.restarts import Restarts
 
 HOUR_S = 3600.0
 

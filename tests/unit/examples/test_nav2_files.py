@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 import yaml
 
+from gibson_sim.maps.floor_map import scene_floor_map
 from gibson_sim.robots.drive_spec import DifferentialSpec
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.scenes.floor_map import scene_floor_map
 from gibson_sim.scenes.load import load_scene
 from support.simulation import require
 

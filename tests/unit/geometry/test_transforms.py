@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from gibson_sim.geometry.transforms import (
+from gibson_sim.geometry.transforms import (  # fmt: skip
     R_LINK_OPTICAL,
     invert,
     matrices_from_poses,
@@ -21,7 +21,7 @@ from gibson_sim.geometry.transforms import (
     transform_points,
     wrap_angle,
     yaw_from_quat,
-)  # fmt: skip
+)
 from gibson_sim.types import Pose
 
 HALF = math.sqrt(0.5)

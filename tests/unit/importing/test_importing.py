@@ -12,14 +12,15 @@ import yaml
 
 from gibson_sim.cli.main import main
 from gibson_sim.errors import ConfigError, GibsonSimError, SceneError, SceneNotFoundError
-from gibson_sim.importing.check import check_path
-from gibson_sim.importing.fix import Fix, fix_scene
-from gibson_sim.importing.run import Choices, import_scene
-from gibson_sim.importing.scans import is_scan
+from gibson_sim.formats.load_mesh import MeshLoader
+from gibson_sim.formats.mesh import Material, Mesh, MeshPart
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.mesh import MeshLoader, collision_triangles, scene_roots
-from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart
+from gibson_sim.scenes.scene_meshes import collision_triangles, scene_roots
 from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim_tools.importing.check import check_path
+from gibson_sim_tools.importing.fix import Fix, fix_scene
+from gibson_sim_tools.importing.run import Choices, import_scene
+from gibson_sim_tools.importing.scans import is_scan
 from support.gltf import Gltf
 from support.interiors import SIZE, room, turned, write_gibson_folder, write_obj, write_replica_folder
 from support.plys import ply

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gibson_sim.importing.islands import islands
-from gibson_sim.scenes.floor_map import FloorMap
+from gibson_sim.maps.floor_map import FloorMap
+from gibson_sim_tools.importing.islands import islands
 
 
 def _map(floor: np.ndarray, occupied: np.ndarray) -> FloorMap:

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import EnvironmentProblemError, SceneError
-from gibson_sim.importing import usd
-from gibson_sim.importing.run import Choices, import_scene
-from gibson_sim.scenes.mesh import MeshLoader, collision_triangles, scene_roots
+from gibson_sim.formats.load_mesh import MeshLoader
+from gibson_sim.scenes.scene_meshes import collision_triangles, scene_roots
+from gibson_sim_tools.importing import usd
+from gibson_sim_tools.importing.run import Choices, import_scene
 
 STAGE = """#usda 1.0
 (

@@ -8,21 +8,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.rigid_groups import rigid_groups
+from gibson_sim.description.urdf import UrdfModel, parse_urdf
 from gibson_sim.errors import GibsonSimError
-from gibson_sim.making.objects import program
-from gibson_sim.making.objects.catalogue import OBJECTS
-from gibson_sim.making.objects.joined import door_names
-from gibson_sim.making.objects.model import Link, ObjectModel, Solid, ball, box, mass_properties, ring_wall, rotation, upright
-from gibson_sim.making.objects.pictures import PICTURES, noise
-from gibson_sim.making.objects.program import chosen, make_objects
-from gibson_sim.making.objects.table import objects_table
-from gibson_sim.making.objects.urdf import mesh_name, object_urdf
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.rigid import rigid_groups
-from gibson_sim.robots.urdf import UrdfModel, parse_urdf
-from gibson_sim.scenes.mesh import MeshLoader
+from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.scenes.spawning import load_spawnable, own_spawnables
 from gibson_sim.types import Pose
+from gibson_sim_tools.making.objects import program
+from gibson_sim_tools.making.objects.catalogue import OBJECTS
+from gibson_sim_tools.making.objects.joined import door_names
+from gibson_sim_tools.making.objects.model import (
+    Link,
+    ObjectModel,
+    Solid,
+    ball,
+    box,
+    mass_properties,
+    ring_wall,
+    rotation,
+    upright,
+)
+from gibson_sim_tools.making.objects.pictures import PICTURES, noise
+from gibson_sim_tools.making.objects.program import chosen, make_objects
+from gibson_sim_tools.making.objects.table import objects_table
+from gibson_sim_tools.making.objects.urdf import mesh_name, object_urdf
 
 MOST_TRIANGLES = 3000
 MOST_BYTES = 8_000_000

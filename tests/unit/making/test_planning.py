@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.making.building import Building, BuildingKind, Piece
-from gibson_sim.making.planning import check_building, draw_plan, plan_building
-from gibson_sim.making.planning.rooms import cells_of
-from gibson_sim.making.planning.shipped import SHIPPED
+from gibson_sim_tools.making.building import Building, BuildingKind, Piece
+from gibson_sim_tools.making.planning import check_building, draw_plan, plan_building
+from gibson_sim_tools.making.planning.rooms import cells_of
+from gibson_sim_tools.making.planning.shipped import SHIPPED
 
 KINDS: tuple[BuildingKind, ...] = ("flat", "house", "office", "shop")
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gibson_sim.making.robots.arm_bot import FINISHES, arm_bot_solids, write_arm_bot
-from gibson_sim.making.robots.surfaces import Section, Solid, box, loft, tube
+from gibson_sim.description.shapes import Shape
+from gibson_sim.formats.load_mesh import load_shape
 from gibson_sim.robots.load import load_robot
-from gibson_sim.robots.spec import Shape
-from gibson_sim.scenes.mesh import load_shape
+from gibson_sim_tools.making.robots.arm_bot import FINISHES, arm_bot_solids, write_arm_bot
+from gibson_sim_tools.making.robots.surfaces import Section, Solid, box, loft, tube
 
 
 def volume(solid: Solid) -> float:

@@ -15,24 +15,24 @@ import pytest
 
 import gibson_sim
 from gibson_sim.errors import SceneError
-from gibson_sim.making.baking import check_blender
-from gibson_sim.making.blender.assembly import assemble
-from gibson_sim.making.blender.charts import BORDER_PX, place_charts
-from gibson_sim.making.blender.furniture import BUILDERS, build_piece
-from gibson_sim.making.blender.looks import LOOKS
-from gibson_sim.making.blender.shapes import Solid, Surface
-from gibson_sim.making.blender.shell import build_shell, widened
-from gibson_sim.making.building import MATERIALS, Body, Building, Lamp, Opening, Piece, Room, Start, Storey, Wall
-from gibson_sim.making.building_file import QUALITIES, Quality, read_plan, write_plan
-from gibson_sim.making.catalogue import CATALOGUE
-from gibson_sim.making.glb import Paint, Patch, write_glb
-from gibson_sim.making.pixels import doubled, exposure_of, filled, hidden, mirrored, toned
-from gibson_sim.making.planning.planner import plan_building
-from gibson_sim.making.scene_folder import calm_small_charts, put_mirror, write_scene_folder
-from gibson_sim.making.surroundings import write_surroundings
-from gibson_sim.render.environment import irradiance, load_environment
+from gibson_sim.formats.load_mesh import load_mesh
+from gibson_sim.render.draw.environment import irradiance, load_environment
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.mesh import load_mesh
+from gibson_sim_tools.making.baking import check_blender
+from gibson_sim_tools.making.blender.assembly import assemble
+from gibson_sim_tools.making.blender.charts import BORDER_PX, place_charts
+from gibson_sim_tools.making.blender.furniture import BUILDERS, build_piece
+from gibson_sim_tools.making.blender.looks import LOOKS
+from gibson_sim_tools.making.blender.shapes import Solid, Surface
+from gibson_sim_tools.making.blender.shell import build_shell, widened
+from gibson_sim_tools.making.building import MATERIALS, Body, Building, Lamp, Opening, Piece, Room, Start, Storey, Wall
+from gibson_sim_tools.making.building_file import QUALITIES, Quality, read_plan, write_plan
+from gibson_sim_tools.making.catalogue import CATALOGUE
+from gibson_sim_tools.making.glb import Paint, Patch, write_glb
+from gibson_sim_tools.making.pixels import doubled, exposure_of, filled, hidden, mirrored, toned
+from gibson_sim_tools.making.planning.planner import plan_building
+from gibson_sim_tools.making.scene_folder import calm_small_charts, put_mirror, write_scene_folder
+from gibson_sim_tools.making.surroundings import write_surroundings
 
 ABOVE = {"kitchen_sink", "basin", "bath"}
 """Their taps stand out above them."""
@@ -317,7 +317,7 @@ def test_blender_bakes_two_rooms(tmp_path: Path) -> None:
         pytest.skip("SKIPPED: no Blender in this Python: pip install bpy")
     write_plan(tmp_path / "plan.json", two_rooms(), Quality(1, 128, 1))
     path = str(Path(gibson_sim.__file__).parents[1])
-    command = [sys.executable, "-m", "gibson_sim.making.blender", str(tmp_path / "plan.json"), str(tmp_path)]
+    command = [sys.executable, "-m", "gibson_sim_tools.making.blender", str(tmp_path / "plan.json"), str(tmp_path)]
     subprocess.run(command, check=True, env={**os.environ, "PYTHONPATH": path}, capture_output=True)
     light = np.load(tmp_path / "light_0.npy").astype(float)
     seen = light[..., 3] > 0

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.shapes import Appearance, Shape, VisualSpec
+from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.render import cache as module
-from gibson_sim.render.batches import Batches
-from gibson_sim.render.building import build_batches
+from gibson_sim.render.batching.batches import Batches
+from gibson_sim.render.batching.building import build_batches
 from gibson_sim.render.cache import SceneCache, default_folder
-from gibson_sim.robots.spec import Look, Shape, VisualSpec
-from gibson_sim.scenes.mesh import MeshLoader
 from gibson_sim.types import Pose
 from support.scenes import write_square_obj
 
@@ -118,7 +118,7 @@ def test_what_decides_the_result_decides_the_file(cache: SceneCache, visuals: Vi
         replace(square, color=(1.0, 0.0, 0.0, 1.0)),
         replace(square, semantic_class="floor"),
         replace(square, shape=replace(square.shape, size=(1.0, 1.0, 2.0))),
-        replace(square, look=Look(hue=0.1)),
+        replace(square, appearance=Appearance(hue=0.1)),
     ]
     names = [_path(cache, visuals), _path(cache, visuals, coarser=False)]
     moving = (replace(square, link="a/b"),)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gibson_sim.render import clusters as module
-from gibson_sim.render.batches import Batches
-from gibson_sim.render.clusters import COARSEST, REDUCTION, SMALLEST, Clusters, build_clusters, split
-from gibson_sim.render.lod_selection import Detail
-from gibson_sim.render.visibility import Visibility
-from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart
+from gibson_sim.formats.mesh import Material, Mesh, MeshPart
+from gibson_sim.render.batching.batches import Batches
+from gibson_sim.render.culling.visibility import Visibility
+from gibson_sim.render.lod import clusters as module
+from gibson_sim.render.lod.clusters import COARSEST, REDUCTION, SMALLEST, Clusters, build_clusters, split
+from gibson_sim.render.lod.lod_selection import Detail
 from support.surfaces import batches_of, bumpy_grid, bumpy_sphere, drawn_positions, in_two, open_edges, textured
 
 SIZE = 256
@@ -294,7 +294,7 @@ def test_without_a_simplifier_there_is_one_level_with_everything(monkeypatch: py
 
 
 def test_a_large_scene_without_a_simplifier_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gibson_sim.render.joining.simplifier", lambda: None)
+    monkeypatch.setattr("gibson_sim.render.batching.joining.simplifier", lambda: None)
     (warning,) = batches_of(Mesh((bumpy_grid(40),))).warnings
     assert "3200 triangles" in warning
     assert "pip install meshoptimizer" in warning

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gibson_sim.description.shapes import Shape, VisualSpec
+from gibson_sim.formats.load_mesh import primitive_mesh
+from gibson_sim.formats.mesh import Mesh
 from gibson_sim.geometry.compiling import CAN_COMPILE
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_quat
-from gibson_sim.render.batches import Batches
-from gibson_sim.render.building import build_batches
-from gibson_sim.render.planning import KINDS, VIEW, Picture, Plan, Planner
-from gibson_sim.render.unpacking import depth_of, normals_of, positions_of, turned
-from gibson_sim.render.visibility import Visibility, link_frames, world_from_links
-from gibson_sim.robots.spec import Shape, VisualSpec
-from gibson_sim.scenes.mesh_types import Mesh
-from gibson_sim.scenes.primitives import primitive_mesh
+from gibson_sim.render.batching.batches import Batches
+from gibson_sim.render.batching.building import build_batches
+from gibson_sim.render.culling.draw_plan import KINDS, VIEW, Picture, Plan, Planner
+from gibson_sim.render.culling.visibility import Visibility, link_frames, world_from_links
+from gibson_sim.render.readback.frames import depth_of, normals_of, positions_of, turned
 from gibson_sim.types import Pose, Rgba
 from support.surfaces import bumpy_sphere, detail_from
 
@@ -63,7 +63,7 @@ def _plans(planner: Planner, rng: np.random.Generator, links: int) -> list[tuple
         plan = planner.plan(Picture(camera, K, 64, 48, 0.05), T_world_links, np.zeros(1, dtype=VIEW)[0])
         depth = np.zeros((48, 64), dtype=np.float32)
         depth[rng.integers(0, 20) :, : rng.integers(10, 64)] = 0.05 / rng.uniform(0.5, 4.0)
-        found.append((plan, planner.looks([plan])[0].unhidden(depth)))
+        found.append((plan, planner.occlusion_queries([plan])[0].unhidden(depth)))
     return found
 
 

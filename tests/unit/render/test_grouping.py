@@ -6,8 +6,8 @@ import gc
 
 import pytest
 
-from gibson_sim.render import grouping
-from gibson_sim.render.grouping import Grouping, Remembered
+from gibson_sim.render.draw import grouping
+from gibson_sim.render.draw.grouping import Grouping, Remembered
 from gibson_sim.types import CameraSpec, Output
 
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings, strategies as st
 from numpy.typing import NDArray
 
 from gibson_sim.geometry.transforms import matrix_from_quat
-from gibson_sim.render.occlusion import DepthPyramid, Outlines, pixels_from_links
-from gibson_sim.render.occlusion_culling import SQUARE, PieceTable, without_hidden
+from gibson_sim.render.culling.occlusion import DepthPyramid, Outlines, pixels_from_links
+from gibson_sim.render.culling.occlusion_culling import SQUARE, PieceTable, without_hidden
 
 NEAR = 0.05
 K = np.array([[40.0, 1.5, 24.2], [0.0, 43.0, 15.7], [0.0, 0.0, 1.0]])

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gibson_sim.description.shapes import Shape, VisualSpec
+from gibson_sim.formats.load_mesh import primitive_mesh
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL
-from gibson_sim.render.batches import Batches
-from gibson_sim.render.building import build_batches
-from gibson_sim.render.occluders import LARGE_M2, Occluders
-from gibson_sim.render.pieces import PIECE_TRIANGLES, Pieces
-from gibson_sim.render.planning import VIEW, Picture, Plan, Planner
-from gibson_sim.render.visibility import Visibility
-from gibson_sim.robots.spec import Shape, VisualSpec
-from gibson_sim.scenes.primitives import primitive_mesh
+from gibson_sim.render.batching.batches import Batches
+from gibson_sim.render.batching.building import build_batches
+from gibson_sim.render.culling.draw_plan import VIEW, Picture, Plan, Planner
+from gibson_sim.render.culling.occluders import LARGE_M2, Occluders
+from gibson_sim.render.culling.pieces import PIECE_TRIANGLES, Pieces
+from gibson_sim.render.culling.visibility import Visibility
 from gibson_sim.types import Pose, Rgba
 
 GLASS: Rgba = (0.2, 0.4, 0.9, 0.4)

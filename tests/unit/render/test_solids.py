@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gibson_sim.description.shapes import Shape
+from gibson_sim.formats.load_mesh import primitive_mesh
+from gibson_sim.formats.mesh import MeshPart
 from gibson_sim.geometry.transforms import matrix_from_quat
-from gibson_sim.render.solids import Insides, find_solids, moved_boxes
-from gibson_sim.robots.spec import Shape
-from gibson_sim.scenes.mesh_types import MeshPart
-from gibson_sim.scenes.primitives import primitive_mesh
+from gibson_sim.render.culling.closed_solids import Insides, find_solids, moved_boxes
 
 BOX, BALL, ROLLER = Shape("box", (0.4, 0.6, 1.0)), Shape("sphere", (0.3, 0.0, 0.0)), Shape("cylinder", (0.2, 0.5, 0.0))
 NEAR = 0.05

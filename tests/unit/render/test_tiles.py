@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, strategies as st
 
-from gibson_sim.render.tiles import arrange
+from gibson_sim.render.draw.grouping import arrange
 
 SIZES = st.lists(st.tuples(st.integers(1, 90), st.integers(1, 90)), max_size=40)
 

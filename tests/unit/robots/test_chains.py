@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.urdf import UrdfModel, parse_urdf
 from gibson_sim.errors import CommandError
-from gibson_sim.robots.kinematics import Chain
-from gibson_sim.robots.urdf import UrdfModel, parse_urdf
+from gibson_sim.robots.joints.kinematics import Chain
 
 
 def model(follower_limits: tuple[float, float] = (-9.0, 9.0), multiplier: float = 2.0, offset: float = 0.1) -> UrdfModel:

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.cli.command_line import run
+from gibson_sim.description.urdf import read_urdf
 from gibson_sim.errors import RobotError
-from gibson_sim.robots.urdf import read_urdf
 from gibson_sim.scenes.robot_files import load_robot
 
 BODY = '<link name="{}"><collision><origin xyz="0 0 {}"/><geometry><box size="0.4 0.3 0.1"/></geometry></collision></link>'

@@ -7,19 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from gibson_sim.description.urdf import UrdfJoint, UrdfLink, UrdfModel
 from gibson_sim.errors import ConfigError
 from gibson_sim.robots.collision_count import CollisionCount, CollisionCounter
-from gibson_sim.robots.grasping import (
-    Candidate,
-    GraspSettings,
-    best_candidate,
-    gripper_move,
-    hinge_of,
-    reason_to_let_go,
-)
-from gibson_sim.robots.joint_commands import JointCommand, JointEfforts, JointPositions, JointTrajectory, JointVelocities
-from gibson_sim.robots.manipulator_spec import GripperSpec
-from gibson_sim.robots.urdf import UrdfJoint, UrdfLink, UrdfModel
+from gibson_sim.robots.joints.commands import JointCommand, JointEfforts, JointPositions, JointTrajectory, JointVelocities
+from gibson_sim.robots.joints.grasping import Candidate, GraspSettings, best_candidate, gripper_move, hinge_of, reason_to_let_go
+from gibson_sim.robots.spec import GripperSpec
 from gibson_sim.types import Pose
 
 CLAW = GripperSpec(("claw",), open=0.0, closed=0.8, max_effort=10.0)

@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import pytest
 
+from gibson_sim.description.urdf import UrdfJoint
 from gibson_sim.errors import CommandError
-from gibson_sim.robots.joint_commands import JointCommand, JointPositions, JointTrajectory, JointVelocities, TrajectoryPoint
-from gibson_sim.robots.joint_control import JointControl
-from gibson_sim.robots.urdf import UrdfJoint
+from gibson_sim.robots.joints.commands import JointCommand, JointPositions, JointTrajectory, JointVelocities, TrajectoryPoint
+from gibson_sim.robots.joints.control import JointControl
 from gibson_sim.types import Pose
 
 S = 1_000_000_000

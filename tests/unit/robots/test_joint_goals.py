@@ -7,7 +7,7 @@ import math
 import pytest
 
 from gibson_sim.errors import CommandError
-from gibson_sim.robots.joint_goals import GripperGoal, Tolerance, TrajectoryCode, TrajectoryGoal
+from gibson_sim.robots.joints.goals import GripperGoal, Tolerance, TrajectoryCode, TrajectoryGoal
 
 S = 1_000_000_000
 STILL = {"a": 0.0, "b": 0.0}

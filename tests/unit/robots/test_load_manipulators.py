@@ -9,8 +9,7 @@ import pytest
 
 from gibson_sim.errors import RobotError
 from gibson_sim.robots.load import load_robot
-from gibson_sim.robots.manipulator_spec import GripperSpec, ManipulatorSpec, NamedPose
-from gibson_sim.robots.spec import RobotSpec
+from gibson_sim.robots.spec import GripperSpec, ManipulatorSpec, NamedPose, RobotSpec
 
 Load = Callable[[str], RobotSpec]
 LIMIT = '<limit lower="{}" upper="{}" effort="20" velocity="1"/>'

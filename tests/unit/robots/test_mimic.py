@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from gibson_sim.description.mimic import Mimic
+from gibson_sim.description.scaling import scaled_model
+from gibson_sim.description.urdf import UrdfModel, parse_urdf
 from gibson_sim.errors import RobotError
-from gibson_sim.robots.mimic import Mimic
-from gibson_sim.robots.scaling import scaled_model
-from gibson_sim.robots.urdf import UrdfModel, parse_urdf
 
 
 def model(*mimics: str, kind: str = "revolute") -> UrdfModel:

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.rigid_groups import MAX_MOVING_JOINTS, rigid_groups
+from gibson_sim.description.urdf import UrdfModel, parse_urdf
 from gibson_sim.errors import RobotError
-from gibson_sim.robots.rigid import MAX_MOVING_JOINTS, rigid_groups
-from gibson_sim.robots.urdf import UrdfModel, parse_urdf
 
 
 def parse(body: str) -> UrdfModel:

@@ -11,8 +11,8 @@ import pytest
 from scipy.stats import chi2
 
 from gibson_sim.robots.drive_spec import DifferentialSpec
+from gibson_sim.robots.drives.odometry_errors import OdometryErrors
 from gibson_sim.robots.load import load_robot
-from gibson_sim.robots.odometry_errors import OdometryErrors
 from gibson_sim.robots.sensor_specs import WheelOdometrySpec
 from support.odometry import DT, TOUR, PureRobot, another_of_this_make, nees
 

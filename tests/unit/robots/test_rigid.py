@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.rigid_groups import physics_urdf, rigid_groups
+from gibson_sim.description.urdf import read_urdf
 from gibson_sim.errors import RobotError
-from gibson_sim.robots.rigid import physics_urdf, rigid_groups
-from gibson_sim.robots.urdf import read_urdf
 
 MASS = '<inertial><mass value="{kg}"/><inertia ixx="{i}" ixy="0" ixz="0" iyy="{i}" iyz="0" izz="{i}"/></inertial>'
 BALL = '<collision><geometry><sphere radius="0.1"/></geometry></collision>'

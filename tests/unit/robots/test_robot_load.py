@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.urdf import read_urdf
 from gibson_sim.errors import RobotError
 from gibson_sim.geometry.transforms import matrix_from_quat, pose_from_xyz_rpy
 from gibson_sim.robots.load import load_robot
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.robots.urdf import read_urdf
 from gibson_sim.types import DepthNoise, ImageEffects
 
 Load = Callable[..., RobotSpec]

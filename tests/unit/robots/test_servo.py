@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import CommandError, ConfigError
-from gibson_sim.robots.servo import F64, ServoSettings, ToolTwist, limited_twist, servo_speeds
+from gibson_sim.robots.joints.servo import F64, ServoSettings, ToolTwist, limited_twist, servo_speeds
 
 SETTINGS = ServoSettings()
 NO_LIMIT = np.full(3, np.inf)

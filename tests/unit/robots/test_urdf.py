@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.urdf import UrdfModel, read_urdf
 from gibson_sim.errors import RobotError
-from gibson_sim.robots.urdf import UrdfModel, read_urdf
 
 Read = Callable[[str], UrdfModel]
 TWO_LINKS = '<link name="a"/><link name="b"/>'

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from gibson_sim.robots.drives.wheel_odometry import OdometryNoise
 from gibson_sim.robots.sensor_specs import WheelOdometrySpec
-from gibson_sim.robots.wheel_noise import OdometryNoise
 
 TICK = 2 * math.pi / 4096
 

@@ -11,11 +11,11 @@ from xml.etree import ElementTree
 
 import pytest
 
+from gibson_sim.description import xacro
+from gibson_sim.description.urdf import parse_urdf, read_urdf
+from gibson_sim.description.xacro import plain_description, published_description
 from gibson_sim.errors import RobotError
-from gibson_sim.robots import xacro
 from gibson_sim.robots.load import load_robot
-from gibson_sim.robots.urdf import parse_urdf, read_urdf
-from gibson_sim.robots.xacro import plain_description, published_description
 
 XACRO = """<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="wide" default="0.2"/>
 <xacro:include filename="$(find my_robot)/parts/arm.xacro"/>

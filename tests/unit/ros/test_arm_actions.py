@@ -20,7 +20,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E
 
 from gibson_sim.physics.world import PhysicsWorld  # noqa: E402
 from gibson_sim.ros import conversions  # noqa: E402
-from gibson_sim.ros.arm_actions import GripperAction, TrajectoryAction  # noqa: E402
+from gibson_sim.ros.topics.arm_actions import GripperAction, TrajectoryAction  # noqa: E402
 from gibson_sim.scenes.spec import SceneSpec  # noqa: E402
 
 KIND = SimpleNamespace(Result=SimpleNamespace, Feedback=SimpleNamespace)

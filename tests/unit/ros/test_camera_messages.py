@@ -9,8 +9,8 @@ require("rclpy", "gibson_msgs")
 import pytest  # noqa: E402
 
 from gibson_sim.config import RenderConfig  # noqa: E402
-from gibson_sim.ros import names  # noqa: E402
-from gibson_sim.ros.camera_messages import COMPRESSED, COMPRESSED_DEPTH, POINTS, CameraMessages  # noqa: E402
+from gibson_sim.ros.topics import names  # noqa: E402
+from gibson_sim.ros.topics.camera_messages import COMPRESSED, COMPRESSED_DEPTH, POINTS, CameraMessages  # noqa: E402
 from gibson_sim.types import OUTPUTS, CameraSpec  # noqa: E402
 
 CAMERA = CameraSpec("camera", "r/base_link", outputs=("rgb", "depth", "normal"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gibson_sim.ros import names
+from gibson_sim.ros.topics import names
 
 
 def test_topics_stand_below_the_cameras_name() -> None:

@@ -16,20 +16,11 @@ require("rclpy", "gibson_msgs")
 from geometry_msgs.msg import Twist  # noqa: E402
 from hypothesis import given, strategies as st  # noqa: E402
 
+from gibson_sim.description.shapes import Appearance, Pattern, Shape, VisualSpec  # noqa: E402
 from gibson_sim.errors import CommandError, SceneError  # noqa: E402
-from gibson_sim.robots.spec import Look, Pattern, Shape, VisualSpec  # noqa: E402
 from gibson_sim.ros import conversions as c  # noqa: E402
 from gibson_sim.scenes.spec import DrawnScene, LightSpec, PointLight  # noqa: E402
-from gibson_sim.types import (  # noqa: E402
-    OUTPUTS,
-    CameraSpec,
-    DepthNoise,
-    Frame,
-    ImageEffects,
-    Odometry,
-    Pose,
-    SceneState,
-)
+from gibson_sim.types import OUTPUTS, CameraSpec, DepthNoise, Frame, ImageEffects, Odometry, Pose, SceneState  # noqa: E402
 from support.messages import odometry_to_msg  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -40,7 +31,7 @@ def test_stamp_round_trip_loses_no_nanosecond(stamp_ns: int) -> None:
     assert c.time_from_msg(c.time_to_msg(stamp_ns)) == stamp_ns
 
 
-LOOK = Look(0.1, 0.7, 1.3, Pattern("checker", 2**40 + 1, ((0.1, 0.2, 0.3), (0.4, 0.5, 0.6)), 0.7), None, 0.3)
+APPEARANCE = Appearance(0.1, 0.7, 1.3, Pattern("checker", 2**40 + 1, ((0.1, 0.2, 0.3), (0.4, 0.5, 0.6)), 0.7), None, 0.3)
 LAMP = PointLight((1.1, 2.2, 3.3), (0.9, 0.8, 0.7), 1.7, 12.3, (0.1, 0.2, 0.3), (1.0, 0.0, -0.1), 0.4, 0.6)
 LIGHT = LightSpec(
     (0.1, 0.0, -1.0), 0.55, 0.27, (0.5, 0.7, 1.0), (1.0, 0.9, 0.8), True, (LAMP, PointLight((0.0, 0.0, 0.0))), "/a/sky.hdr", 1.2, 0.3,
@@ -59,8 +50,8 @@ def _scene() -> DrawnScene:
             VisualSpec(
                 "wall", "", Shape("mesh", (1.0, 2.0, -1.0), "/a/b.glb"), Pose((1, 2, 3), (0, 0, quarter, quarter)), None, "wall"
             ),
-            VisualSpec("body", "robot/base", Shape("cylinder", (0.2, 0.3, 0.0)), Pose(), (0.5, 0.25, 0.125, 1.0), "", LOOK),
-            VisualSpec("lid", "robot/base", Shape("box"), look=Look(metallic=0.1)),
+            VisualSpec("body", "robot/base", Shape("cylinder", (0.2, 0.3, 0.0)), Pose(), (0.5, 0.25, 0.125, 1.0), "", APPEARANCE),
+            VisualSpec("lid", "robot/base", Shape("box"), appearance=Appearance(metallic=0.1)),
         ),
         cameras=(CameraSpec("cam", "robot/eye", Pose((0.1, 0, 0)), 320, 200, 1.0, 0.1, 10.0, 15.0, ("depth",)),),
         light=LIGHT,

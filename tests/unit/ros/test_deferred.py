@@ -8,7 +8,7 @@ require("rclpy")
 
 import pytest  # noqa: E402
 
-from gibson_sim.ros.deferred import DeferredResponse  # noqa: E402
+from gibson_sim.ros.services.deferred import DeferredResponse  # noqa: E402
 
 pytestmark = pytest.mark.ros
 

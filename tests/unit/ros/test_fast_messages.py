@@ -16,9 +16,9 @@ from sensor_msgs.msg import Imu, JointState  # noqa: E402
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
 from gibson_msgs.msg import SceneState as RosSceneState, TickDone  # noqa: E402
-from gibson_sim.robots.odometry_errors import OdometryCovariance  # noqa: E402
+from gibson_sim.robots.drives.odometry_errors import OdometryCovariance  # noqa: E402
 from gibson_sim.ros import conversions  # noqa: E402
-from gibson_sim.ros.fast_publish import (  # noqa: E402
+from gibson_sim.ros.wire.fast_publish import (  # noqa: E402
     FastClock,
     FastImu,
     FastJointStates,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gibson_sim.geometry.transforms import invert, matrices_from_poses, matrix_from_pose
-from gibson_sim.ros.fast_publish import RelativePoses
+from gibson_sim.ros.wire.fast_publish import RelativePoses
 from gibson_sim.types import Pose
 
 HALF = 0.5**0.5

@@ -13,8 +13,7 @@ from support.simulation import require
 
 require("rclpy")
 
-from gibson_sim.ros.deferred import DeferredResponse  # noqa: E402
-from gibson_sim.ros.in_order import InOrder  # noqa: E402
+from gibson_sim.ros.services.deferred import DeferredResponse, InOrder  # noqa: E402
 
 PATIENCE_S = 60.0
 

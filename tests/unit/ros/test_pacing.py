@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gibson_sim.ros.pacing import Pacer
+from gibson_sim.ros.lockstep.pacing import Pacer
 
 MS = 1_000_000
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gibson_sim.ros.render_stats import RenderStats
+from gibson_sim.ros.nodes.render_stats import RenderStats
 from gibson_sim.types import CameraSpec, Frame
 
 CAMERA = CameraSpec("eye", "", rate_hz=10.0, outputs=("rgb", "depth"))

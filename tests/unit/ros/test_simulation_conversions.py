@@ -13,7 +13,7 @@ require("rclpy", "simulation_interfaces")
 
 from simulation_interfaces import msg, srv  # noqa: E402
 
-from gibson_sim.ros import simulation_conversions as convert  # noqa: E402
+from gibson_sim.ros.services import simulation_conversions as convert  # noqa: E402
 from gibson_sim.scenes.spawning import Spawnable  # noqa: E402
 from gibson_sim.standard.bounds import Bounds, BoundsType, Overlap  # noqa: E402
 from gibson_sim.standard.codes import SimulationError  # noqa: E402

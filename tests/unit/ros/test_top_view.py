@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from gibson_sim.ros.top_view import Status, TopicRate, View, render
+from gibson_sim.ros.nodes.top_view import Status, TopicRate, View, render
 
 PHYSICS = Status("gibson_sim: physics", 0, "on time", (("real_time_factor", "0.998"), ("late_ticks", "3")), 0.4)
 RENDER = Status("gibson_sim: render", 1, "skips images", (("draw_ms", "8.20"),), 0.1)

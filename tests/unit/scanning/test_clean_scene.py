@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.urdf import parse_urdf
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.urdf import parse_urdf
-from gibson_sim.scanning.clean_scene import solid_triangles, still_scene
-from gibson_sim.scanning.posed_rgbd import ScanError
 from gibson_sim.scenes.load import load_scene
+from gibson_sim_tools.scanning.clean_scene import solid_triangles, still_scene
+from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from support.scenes import write_room
 
 CABINET = """

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import EnvironmentProblemError
+from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_xyz_rpy
-from gibson_sim.importing.gravity import guess_up
-from gibson_sim.scanning.coloured_mesh import (
+from gibson_sim_tools.importing.gravity import guess_up
+from gibson_sim_tools.scanning.coloured_mesh import (
     ColouredMesh,
     level_transform,
     moved,
@@ -19,9 +20,8 @@ from gibson_sim.scanning.coloured_mesh import (
     without_small_parts,
     write_ply,
 )
-from gibson_sim.scanning.fusion import open3d
-from gibson_sim.scanning.posed_rgbd import ScanError
-from gibson_sim.scenes.mesh import load_mesh
+from gibson_sim_tools.scanning.fusion import open3d
+from gibson_sim_tools.scanning.posed_rgbd import ScanError
 from support.scans import noisy_room
 
 
@@ -111,5 +111,5 @@ def test_a_ply_is_read_again_with_its_colours(tmp_path):
 
 def test_without_open3d_the_command_that_installs_it_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(EnvironmentProblemError, match=r"pip install 'gibson_sim\[scanning\]'"):
+    with pytest.raises(EnvironmentProblemError, match=r"pip install 'gibson_sim_tools\[scanning\]'"):
         open3d()

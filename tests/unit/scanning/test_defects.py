@@ -11,9 +11,9 @@ import pytest
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
-from gibson_sim.scanning.defects import edges, image_effects, measured_depth, measured_poses
-from gibson_sim.scanning.settings import PRESETS, Defects, FuseSettings, ScanCamera, TourSettings
 from gibson_sim.types import CameraSpec, Frame
+from gibson_sim_tools.scanning.defects import edges, image_effects, measured_depth, measured_poses
+from gibson_sim_tools.scanning.settings import PRESETS, Defects, FuseSettings, ScanCamera, TourSettings
 
 CLEAN = Defects()
 CAMERA = CameraSpec("0", "", width=80, height=60)

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from gibson_sim.cli.main import main
-from gibson_sim.scanning.comparison import compare
-from gibson_sim.scanning.fusion import chosen_frames, distances, fuse
-from gibson_sim.scanning.layouts import open_posed_rgbd
-from gibson_sim.scanning.posed_rgbd import ScanError, depth_units
-from gibson_sim.scanning.settings import FuseSettings
-from gibson_sim.scanning.trajectories import write_trajectory_log
 from gibson_sim.scenes.load import load_scene
+from gibson_sim_tools.scanning.comparison import compare
+from gibson_sim_tools.scanning.fusion import chosen_frames, distances, fuse
+from gibson_sim_tools.scanning.layouts import open_posed_rgbd
+from gibson_sim_tools.scanning.posed_rgbd import ScanError, depth_units
+from gibson_sim_tools.scanning.settings import FuseSettings
+from gibson_sim_tools.scanning.trajectories import write_trajectory_log
 
 SETTINGS = FuseSettings(voxel=0.04, min_weight=1.0, min_part=0.0)
 SCENE = (
@@ -30,7 +30,7 @@ def _open3d() -> None:
     try:
         import open3d  # noqa: F401
     except ImportError as error:
-        message = f"SKIPPED: Open3D is not here ({error}); pip install 'gibson_sim[scanning]'"
+        message = f"SKIPPED: Open3D is not here ({error}); pip install 'gibson_sim_tools[scanning]'"
         warnings.warn(message, stacklevel=2)
         pytest.skip(message)
 

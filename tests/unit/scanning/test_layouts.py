@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from gibson_sim.scanning.layouts import LAYOUTS, open_posed_rgbd
-from gibson_sim.scanning.posed_rgbd import ScanError
-from gibson_sim.scanning.trajectories import write_stamped_poses, write_trajectory_log
+from gibson_sim_tools.scanning.layouts import LAYOUTS, open_posed_rgbd
+from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.trajectories import write_stamped_poses, write_trajectory_log
 
 WIDTH, HEIGHT = 12, 8
 INTRINSICS = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": [10.0, 0, 0, 0, 11.0, 0, 5.5, 3.5, 1]}

@@ -9,13 +9,13 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from gibson_sim.scanning.clean_scene import Surface, sample_surface, seen_points
-from gibson_sim.scanning.posed_rgbd import ScanError
-from gibson_sim.scanning.route import plan_views, short_round
-from gibson_sim.scanning.settings import ScanCamera, TourSettings
-from gibson_sim.scanning.stations import Station, Storey, candidates, choose_stations, visible_from
-from gibson_sim.scenes.floor_map import FloorMap
+from gibson_sim.maps.floor_map import FloorMap
 from gibson_sim.types import CameraSpec
+from gibson_sim_tools.scanning.clean_scene import Surface, sample_surface, seen_points
+from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.route import plan_views, short_round
+from gibson_sim_tools.scanning.settings import ScanCamera, TourSettings
+from gibson_sim_tools.scanning.stations import Station, Storey, candidates, choose_stations, visible_from
 
 SIZE = np.array([6.0, 4.0, 2.5])
 TOUR = TourSettings(pitches_deg="-40,0,40")
@@ -81,7 +81,7 @@ def test_a_room_is_seen_all_around_from_its_middle():
 
 
 def _pose(eye):
-    from gibson_sim.scanning.stations import panorama_camera
+    from gibson_sim_tools.scanning.stations import panorama_camera
 
     return panorama_camera(eye).pose
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
-from gibson_sim.scanning.posed_rgbd import ScanError
-from gibson_sim.scanning.trajectories import (
+from gibson_sim_tools.scanning.posed_rgbd import ScanError
+from gibson_sim_tools.scanning.trajectories import (
     associate,
     pose_at,
     read_stamped_poses,

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import pytest
 
+from gibson_sim.description.shapes import Appearance, Pattern, Shape, VisualSpec
 from gibson_sim.errors import SceneNotFoundError
-from gibson_sim.robots.spec import Look, Pattern, Shape, VisualSpec
 from gibson_sim.scenes.asset_paths import with_local_files
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import DrawnScene, LightSpec
 from support.scenes import write_square_obj
 
 
-def _scene(*meshes: str, content_hash: str = "", look: Look | None = None, environment: str = "") -> DrawnScene:
-    visuals = tuple(VisualSpec(f"v{k}", "", Shape("mesh", mesh=mesh), look=look) for k, mesh in enumerate(meshes))
+def _scene(*meshes: str, content_hash: str = "", appearance: Appearance | None = None, environment: str = "") -> DrawnScene:
+    visuals = tuple(VisualSpec(f"v{k}", "", Shape("mesh", mesh=mesh), appearance=appearance) for k, mesh in enumerate(meshes))
     return DrawnScene("s", 1, content_hash, (), visuals, (), LightSpec(environment=environment))
 
 
@@ -38,10 +38,12 @@ def test_paths_that_exist_are_left_alone(tmp_path: Path) -> None:
 def test_a_mapped_folder_stands_for_the_one_there(tmp_path: Path) -> None:
     mesh = write_square_obj(tmp_path / "here" / "meshes", "none.png")
     there = "/there/assets/meshes/square.obj"
-    look = Look(pattern=Pattern("image", image="/there/assets/meshes/square.mtl"))
-    moved, _ = with_local_files(_scene(there, look=look, environment=there), [("/there/assets", str(tmp_path / "here"))])
+    appearance = Appearance(pattern=Pattern("image", image="/there/assets/meshes/square.mtl"))
+    moved, _ = with_local_files(
+        _scene(there, appearance=appearance, environment=there), [("/there/assets", str(tmp_path / "here"))]
+    )
     assert moved.visuals[0].shape.mesh == moved.light.environment == str(mesh)
-    assert moved.visuals[0].look.pattern.image == str(mesh.with_suffix(".mtl"))
+    assert moved.visuals[0].appearance.pattern.image == str(mesh.with_suffix(".mtl"))
 
 
 def test_a_scene_is_found_by_its_name(share: Path) -> None:

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import pytest
 
+from gibson_sim.description.urdf import read_urdf
 from gibson_sim.errors import MeshError
+from gibson_sim.formats.file_roots import is_inside, package_roots
+from gibson_sim.formats.load_mesh import MeshLoader, load_shape, mesh_folders
 from gibson_sim.resources import find_scene, known_scenes
 from gibson_sim.robots.load import load_robot
-from gibson_sim.robots.urdf import read_urdf
-from gibson_sim.scenes.file_roots import is_inside, package_roots
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.mesh import MeshLoader, load_shape, mesh_folders, scene_roots
+from gibson_sim.scenes.scene_meshes import scene_roots
 from support.gltf import png
 
 

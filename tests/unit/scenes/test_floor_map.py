@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
-from gibson_sim.scenes import floor_map
-from gibson_sim.scenes.floor_map import FloorMap, make_floor_map
+from gibson_sim.maps import floor_map
+from gibson_sim.maps.floor_map import FloorMap, make_floor_map
 
 CELL = 0.25
 INSIDE = {(row, column) for row in range(2, 8) for column in range(2, 8)}

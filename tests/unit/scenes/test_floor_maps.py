@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf import UrdfCollision, UrdfJoint, UrdfLink, UrdfModel
 from gibson_sim.errors import SceneError
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.spec import Shape
-from gibson_sim.robots.urdf import UrdfCollision, UrdfJoint, UrdfLink, UrdfModel
-from gibson_sim.scenes.floor_map import FloorMap, make_floor_map
-from gibson_sim.scenes.maps.bodies import body_triangles, link_transforms
-from gibson_sim.scenes.maps.levels import find_floors, scene_floors
-from gibson_sim.scenes.maps.traversability import RobotSize, floor_maps, traversable_map
+from gibson_sim.maps.bodies import body_triangles, link_transforms
+from gibson_sim.maps.floor_map import FloorMap, make_floor_map
+from gibson_sim.maps.traversability import RobotSize, find_floors, floor_maps, scene_floors, traversable_map
 from gibson_sim.scenes.spec import CollisionSpec, SceneSpec
 from gibson_sim.types import Pose
 

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from gibson_sim.formats.load_mesh import MeshLoader
+from gibson_sim.maps.placement import robot_floor_map
+from gibson_sim.maps.tour import plan_tour
 from gibson_sim.robots.load import load_robot
-from gibson_sim.scenes.generator.flat import ROOMS, make_flat
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.mesh import MeshLoader
-from gibson_sim.scenes.placement import robot_floor_map
 from gibson_sim.scenes.spec import SceneSpec
-from gibson_sim.scenes.tour import plan_tour
+from gibson_sim_tools.generator.flat import ROOMS, make_flat
 
 
 def _files(folder: Path) -> dict[str, bytes]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gibson_sim.scenes.glb_file import glb_bytes
+from gibson_sim.formats.glb import glb_bytes
 
 
 def test_chunks_are_padded_to_four_bytes() -> None:

@@ -13,10 +13,10 @@ import cv2
 import pytest
 
 from gibson_sim.errors import SceneError
-from gibson_sim.render.environment import load_environment
-from gibson_sim.scanning.posed_rgbd import ScanError, read_image
-from gibson_sim.scenes.image_header import image_size
-from gibson_sim.scenes.textures import decode_pixels
+from gibson_sim.formats.image_header import image_size
+from gibson_sim.formats.textures import decode_pixels
+from gibson_sim.render.draw.environment import load_environment
+from gibson_sim_tools.scanning.posed_rgbd import ScanError, read_image
 from support.gltf import png
 
 

@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from gibson_sim.cli.main import main
-from gibson_sim.scenes.floor_map import FloorMap
-from gibson_sim.scenes.maps.export import write_gibson_maps, write_nav2_map, write_picture
+from gibson_sim.maps.export import write_gibson_maps, write_nav2_map, write_picture
+from gibson_sim.maps.floor_map import FloorMap
 from support.scenes import write_room
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.shapes import Shape
 from gibson_sim.errors import MeshError
-from gibson_sim.robots.spec import Shape
-from gibson_sim.scenes.mesh import MeshLoader
+from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.scenes.mesh_body import hull_solid, mesh_body
 from support.gltf import Gltf
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import MeshError
-from gibson_sim.scenes.mesh import load_mesh
+from gibson_sim.formats.load_mesh import load_mesh
 from support.gltf import png
 
 EFFECT = "<diffuse><color>0.2 0.4 0.6 1</color></diffuse>"

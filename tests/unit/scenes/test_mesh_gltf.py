@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import MeshError
-from gibson_sim.scenes.mesh import LIGHT_GREY, Material, MeshPart, load_mesh
+from gibson_sim.formats.load_mesh import LIGHT_GREY, Material, MeshPart, load_mesh
 from support.gltf import CORNERS, Gltf, png
 
 HALF = 0.5**0.5

@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_sim.errors import MeshError
-from gibson_sim.scenes import mesh_gltf_compression as compression
-from gibson_sim.scenes.mesh import load_mesh
-from gibson_sim.scenes.mesh_types import Mesh
+from gibson_sim.formats import gltf_compression as compression
+from gibson_sim.formats.load_mesh import load_mesh
+from gibson_sim.formats.mesh import Mesh
 from support.gltf import Gltf
 
 SIDE = 12

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import MeshError
-from gibson_sim.scenes.mesh import LIGHT_GREY, load_mesh
+from gibson_sim.formats.load_mesh import LIGHT_GREY, load_mesh
 from support.gltf import png
 from support.scenes import write_square_obj
 

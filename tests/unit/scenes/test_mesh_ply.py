@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import MeshError
-from gibson_sim.scenes.mesh import load_mesh
-from gibson_sim.scenes.mesh_types import Mesh
+from gibson_sim.formats.load_mesh import load_mesh
+from gibson_sim.formats.mesh import Mesh
 from support.gltf import Gltf
 from support.plys import COLORS, CORNERS, ply
 

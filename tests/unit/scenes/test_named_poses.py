@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
+from gibson_sim.maps.floor_map import scene_floor_map
+from gibson_sim.maps.named_poses import DEFAULT_HEIGHT, DEFAULT_RADIUS, FREE_PLACES, NamedPose, named_poses
 from gibson_sim.resources import known_scenes
-from gibson_sim.scenes.floor_map import scene_floor_map
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.named_poses import DEFAULT_HEIGHT, DEFAULT_RADIUS, FREE_PLACES, NamedPose, named_poses
 from gibson_sim.scenes.spec import SceneSpec, StartPose
 from gibson_sim.types import Pose
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import yaw_from_quat
-from gibson_sim.scenes.floor_map import FloorMap
+from gibson_sim.maps.floor_map import FloorMap
+from gibson_sim.maps.free_poses import random_free_poses
+from gibson_sim.maps.paths import PathPlanner, distance_field, path_length, shortest_path
+from gibson_sim.maps.traversability import floor_maps
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.maps.paths import PathPlanner, distance_field, path_length, shortest_path
-from gibson_sim.scenes.maps.poses import random_free_poses
-from gibson_sim.scenes.maps.traversability import floor_maps
 
 CELL = 0.05
 

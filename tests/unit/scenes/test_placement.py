@@ -11,12 +11,12 @@ import pytest
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.geometry.transforms import matrix_from_pose
+from gibson_sim.maps.bodies import body_triangles
+from gibson_sim.maps.placement import furnished_floor_map, populate, robot_floor_map, start_pose
+from gibson_sim.maps.tour import plan_tour
 from gibson_sim.robots.load import load_robot
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.maps.bodies import body_triangles
-from gibson_sim.scenes.placement import furnished_floor_map, populate, robot_floor_map, start_pose
 from gibson_sim.scenes.spec import SceneSpec
-from gibson_sim.scenes.tour import plan_tour
 from support.scenes import write_room
 
 

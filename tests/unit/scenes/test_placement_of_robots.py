@@ -7,8 +7,8 @@ import math
 import pytest
 
 from gibson_sim.errors import ConfigError
+from gibson_sim.maps.placement import place_robots, populate
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.placement import place_robots, populate
 from gibson_sim.scenes.spec import SceneSpec
 
 

@@ -1,4 +1,4 @@
-"""Rules of randomisation, what they draw, and what looks do to materials."""
+"""Rules of randomisation, what they draw, and what appearances do to materials."""
 
 from __future__ import annotations
 
@@ -9,19 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gibson_sim.description.shapes import Appearance, Pattern, Shape, VisualSpec
 from gibson_sim.errors import ConfigError, SceneError
-from gibson_sim.robots.spec import Look, Pattern, Shape, VisualSpec
-from gibson_sim.scenes.looks import apply_look, pattern_pictures, tint_matrix
-from gibson_sim.scenes.mesh_types import Material
-from gibson_sim.scenes.randomise import (
-    ClassRules,
-    LightRules,
-    Rules,
-    TextureRules,
-    color_of_temperature,
-    randomise,
-)
-from gibson_sim.scenes.randomise_yaml import load_rules
+from gibson_sim.formats.mesh import Material
+from gibson_sim.render.batching.material_table import apply_appearance, pattern_pictures, tint_matrix
+from gibson_sim.scenes.randomise import ClassRules, LightRules, Rules, TextureRules, color_of_temperature, load_rules, randomise
 from gibson_sim.scenes.spec import DrawnScene, LightSpec, PointLight
 
 EVERYTHING = Rules(
@@ -43,28 +35,28 @@ def _scene(*visuals: VisualSpec) -> DrawnScene:
     return DrawnScene("s", 1, "abc", (), visuals, (), light)
 
 
-def _looks(scene: DrawnScene, seed: int = 7, rules: Rules = EVERYTHING) -> dict[str, Look | None]:
-    return {v.name: v.look for v in randomise(scene, seed, rules).visuals}
+def _appearances(scene: DrawnScene, seed: int = 7, rules: Rules = EVERYTHING) -> dict[str, Appearance | None]:
+    return {v.name: v.appearance for v in randomise(scene, seed, rules).visuals}
 
 
 def test_same_seed_gives_the_same_scene_and_another_seed_another() -> None:
     scene = _scene(*(_visual(f"chair_{k}", "chair") for k in range(5)))
     assert randomise(scene, 7, EVERYTHING) == randomise(scene, 7, EVERYTHING)
-    assert not set(_looks(scene, 7).values()) & set(_looks(scene, 8).values())
+    assert not set(_appearances(scene, 7).values()) & set(_appearances(scene, 8).values())
     assert randomise(scene, 7, EVERYTHING).light != randomise(scene, 8, EVERYTHING).light
 
 
 def test_an_object_that_is_added_changes_no_other() -> None:
-    few = _looks(_scene(_visual("a", "chair"), _visual("b", "chair")))
-    many = _looks(_scene(_visual("new", "table"), _visual("b", "chair"), _visual("a", "chair")))
+    few = _appearances(_scene(_visual("a", "chair"), _visual("b", "chair")))
+    many = _appearances(_scene(_visual("new", "table"), _visual("b", "chair"), _visual("a", "chair")))
     assert (few["a"], few["b"]) == (many["a"], many["b"])
     assert few["a"] != few["b"]
 
 
 def test_a_rule_that_is_added_changes_nothing_of_what_others_give() -> None:
     scene = _scene(_visual("a", "chair"))
-    (less,) = _looks(scene, rules=Rules({"chair": ClassRules(hue=(-0.5, 0.5), roughness=(0.0, 1.0))})).values()
-    (more,) = _looks(
+    (less,) = _appearances(scene, rules=Rules({"chair": ClassRules(hue=(-0.5, 0.5), roughness=(0.0, 1.0))})).values()
+    (more,) = _appearances(
         scene,
         rules=Rules({"chair": ClassRules(hue=(-0.5, 0.5), roughness=(0.0, 1.0), metallic=(0.0, 1.0), texture=TextureRules())}),
     ).values()
@@ -73,24 +65,24 @@ def test_a_rule_that_is_added_changes_nothing_of_what_others_give() -> None:
 
 
 def test_values_lie_in_their_ranges() -> None:
-    for look in _looks(_scene(*(_visual(f"v{k}") for k in range(200)))).values():
-        assert look is not None and look.metallic is not None and look.roughness is not None
-        assert -0.1 <= look.hue <= 0.1 and 0.5 <= look.saturation <= 1.5 and 0.8 <= look.value <= 1.2
-        assert 0.0 <= look.metallic <= 1.0 and 0.3 <= look.roughness <= 0.9
-        assert look.pattern is None or 0.25 <= look.pattern.size <= 1.0
+    for appearance in _appearances(_scene(*(_visual(f"v{k}") for k in range(200)))).values():
+        assert appearance is not None and appearance.metallic is not None and appearance.roughness is not None
+        assert -0.1 <= appearance.hue <= 0.1 and 0.5 <= appearance.saturation <= 1.5 and 0.8 <= appearance.value <= 1.2
+        assert 0.0 <= appearance.metallic <= 1.0 and 0.3 <= appearance.roughness <= 0.9
+        assert appearance.pattern is None or 0.25 <= appearance.pattern.size <= 1.0
 
 
 def test_about_as_many_textures_are_replaced_as_the_chance_says() -> None:
-    looks = _looks(_scene(*(_visual(f"v{k}") for k in range(400)))).values()
+    appearances = _appearances(_scene(*(_visual(f"v{k}") for k in range(400)))).values()
     # Half of 400, within four standard deviations of 10.
-    assert 160 <= sum(look is not None and look.pattern is not None for look in looks) <= 240
+    assert 160 <= sum(appearance is not None and appearance.pattern is not None for appearance in appearances) <= 240
 
 
 def test_rules_of_a_class_go_before_those_of_all() -> None:
-    looks = _looks(_scene(_visual("w1", "wall"), _visual("w2", "wall"), _visual("g", "glass")))
-    assert looks["w1"] == looks["w2"]  # by class
-    assert looks["w1"] is not None and 0.5 <= looks["w1"].value <= 0.6 and looks["w1"].roughness is None
-    assert looks["g"] == Look()
+    appearances = _appearances(_scene(_visual("w1", "wall"), _visual("w2", "wall"), _visual("g", "glass")))
+    assert appearances["w1"] == appearances["w2"]  # by class
+    assert appearances["w1"] is not None and 0.5 <= appearances["w1"].value <= 0.6 and appearances["w1"].roughness is None
+    assert appearances["g"] == Appearance()
 
 
 def test_without_rules_nothing_changes() -> None:
@@ -99,9 +91,9 @@ def test_without_rules_nothing_changes() -> None:
 
 
 def test_what_the_scene_says_of_a_look_stays_where_rules_are_silent() -> None:
-    scene = _scene(replace(_visual("a", "chair"), look=Look(metallic=0.7)))
-    (look,) = _looks(scene, rules=Rules({"chair": ClassRules(roughness=(0.2, 0.2))})).values()
-    assert look == Look(metallic=0.7, roughness=0.2)
+    scene = _scene(replace(_visual("a", "chair"), appearance=Appearance(metallic=0.7)))
+    (appearance,) = _appearances(scene, rules=Rules({"chair": ClassRules(roughness=(0.2, 0.2))})).values()
+    assert appearance == Appearance(metallic=0.7, roughness=0.2)
 
 
 def test_a_randomised_scene_has_another_hash() -> None:
@@ -135,15 +127,15 @@ def test_warm_light_is_red_and_cold_light_is_blue() -> None:
 
 
 def test_a_third_of_a_turn_takes_red_to_green() -> None:
-    np.testing.assert_allclose(tint_matrix(Look(hue=1 / 3)) @ (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), atol=1e-12)
+    np.testing.assert_allclose(tint_matrix(Appearance(hue=1 / 3)) @ (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), atol=1e-12)
 
 
 def test_saturation_0_is_grey_of_the_same_luminance() -> None:
-    np.testing.assert_allclose(tint_matrix(Look(saturation=0.0)) @ (1.0, 0.5, 0.0), [0.2126 + 0.5 * 0.7152] * 3)
+    np.testing.assert_allclose(tint_matrix(Appearance(saturation=0.0)) @ (1.0, 0.5, 0.0), [0.2126 + 0.5 * 0.7152] * 3)
 
 
 def test_a_look_replaces_metal_and_roughness_and_tints_plain_colours() -> None:
-    material = apply_look(Material(base_color=(1.0, 0.0, 0.0, 0.5)), Look(hue=2 / 3, metallic=0.2, roughness=0.3))
+    material = apply_appearance(Material(base_color=(1.0, 0.0, 0.0, 0.5)), Appearance(hue=2 / 3, metallic=0.2, roughness=0.3))
     assert (material.metallic, material.roughness) == (0.2, 0.3)
     assert material.base_color == pytest.approx((0.0, 0.0, 1.0, 0.5), abs=1e-6)
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from gibson_sim.scenes.rasterise import rasterise
+from gibson_sim.geometry.rasterise import rasterise
 
 
 def test_cells_that_share_more_than_a_rim_are_covered() -> None:

@@ -10,10 +10,11 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
+from gibson_sim.formats.load_mesh import MeshLoader, load_mesh
 from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
-from gibson_sim.scenes.floor_map import FloorMap, scene_floor_map
+from gibson_sim.maps.floor_map import FloorMap, scene_floor_map
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.mesh import MeshLoader, load_mesh, scene_roots
+from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import SceneSpec
 
 TURTLEBOT_HEIGHT = 0.19

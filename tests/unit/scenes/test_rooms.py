@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from gibson_sim.scenes.floor_map import FloorMap
-from gibson_sim.scenes.rooms import find_rooms
+from gibson_sim.maps.floor_map import FloorMap
+from gibson_sim.maps.rooms import find_rooms
 
 
 def floor_of(drawing: list[str]) -> FloorMap:

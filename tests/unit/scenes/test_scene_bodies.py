@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from gibson_sim.description.scaling import scaled_model
+from gibson_sim.description.urdf import parse_urdf
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
-from gibson_sim.robots.scaling import scaled_model
-from gibson_sim.robots.urdf import parse_urdf
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import SceneSpec, drawn_scene
 from support.scenes import write_triangle_glb

@@ -11,11 +11,10 @@ import pytest
 
 from gibson_sim.cli.main import main
 from gibson_sim.errors import SceneError
-from gibson_sim.importing.carried import free_distances, missing, out_of_date
-from gibson_sim.scenes.free_poses import FreePose, read_free_poses, scene_free_poses, write_free_poses
+from gibson_sim.maps.free_poses import FreePose, read_free_poses, scene_free_poses, write_free_poses
+from gibson_sim.maps.scene_files import POSES, SPARE, USUAL_ROBOT, write_scene_files
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.maps.clearance import clearances
-from gibson_sim.scenes.maps.scene_files import POSES, SPARE, USUAL_ROBOT, write_scene_files
+from gibson_sim_tools.importing.carried import clearances, free_distances, missing, out_of_date
 from support.scenes import write_room
 
 SCENES = sorted(path.parent for path in (Path(__file__).resolve().parents[3] / "scenes").glob("*/scene.yaml"))

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from gibson_sim.errors import SceneError
+from gibson_sim.maps.named_poses import named_poses
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.named_poses import named_poses
 from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.scenes.spec import SceneSpec
 from support.scenes import write_room

@@ -9,11 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
+from gibson_sim.description.shapes import Appearance
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import matrix_from_pose
-from gibson_sim.robots.spec import Look
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.mesh import collision_triangles
+from gibson_sim.scenes.scene_meshes import collision_triangles
 from gibson_sim.scenes.spec import PointLight, SceneSpec
 from support.scenes import write_square_obj, write_triangle_glb
 
@@ -229,7 +229,7 @@ def test_a_mistake_in_the_light_is_named(tmp_path: Path, light: str, words: str)
 
 def test_metal_and_roughness_of_an_object_become_its_look(tmp_path: Path) -> None:
     first, second = _load(tmp_path, "objects: [{sphere: 1, metallic: 1, roughness: 0.2}, {sphere: 1}]\n").visuals
-    assert (first.look, second.look) == (Look(metallic=1.0, roughness=0.2), None)
+    assert (first.appearance, second.appearance) == (Appearance(metallic=1.0, roughness=0.2), None)
 
 
 @pytest.mark.parametrize("name", ["x" * 201, "a\\nb", "a\\e[31m"])

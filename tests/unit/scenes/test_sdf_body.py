@@ -9,14 +9,14 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from gibson_sim.description.omissions import OmissionKind, kind_of
+from gibson_sim.description.rigid_groups import rigid_groups
+from gibson_sim.description.urdf import UrdfModel
 from gibson_sim.errors import SceneError
-from gibson_sim.robots.omissions import OmissionKind, kind_of
-from gibson_sim.robots.rigid import rigid_groups
-from gibson_sim.robots.urdf import UrdfModel
+from gibson_sim.formats.uris import UriResolver
 from gibson_sim.scenes.builder import SceneBuilder
-from gibson_sim.scenes.sdf_body import SdfBody, SdfBodyReader
-from gibson_sim.scenes.sdf_model import SdfModels, sdf_version
-from gibson_sim.scenes.uris import UriResolver
+from gibson_sim.scenes.sdf.body import SdfBody, SdfBodyReader
+from gibson_sim.scenes.sdf.model import SdfModels, sdf_version
 
 BOX = "<geometry><box><size>1 2 3</size></box></geometry>"
 QUARTER = "1.5707963267948966"

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from gibson_sim.description.body import BodySpec
 from gibson_sim.errors import SceneNotFoundError
-from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes import spawning
 from gibson_sim.scenes.builder import class_from_model
@@ -580,7 +580,7 @@ def test_values_of_a_gltf_are_counted_before_they_are_read(tmp_path: Path, suffi
     gltf = Gltf().triangle()
     gltf.document["extras"] = [0] * 2_100_000
     path = gltf.write(tmp_path / f"long{suffix}")
-    monkeypatch.setattr("gibson_sim.scenes.mesh_gltf.json.loads", lambda _: pytest.fail("it was read"))
+    monkeypatch.setattr("gibson_sim.formats.gltf.json.loads", lambda _: pytest.fail("it was read"))
     error = _error(str(path))
     assert error.code is CODES.RESOURCE_PARSE_ERROR
     assert "values of JSON, must have at most 2000000" in error.public

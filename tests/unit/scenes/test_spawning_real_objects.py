@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.scenes.mesh import load_mesh
+from gibson_sim.description.body import BodySpec
+from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.scenes.spawning import SpawnError, SpawnFailure, find_spawnables, load_spawnable, spawn_name
 from gibson_sim.scenes.worlds import WorldError, WorldFailure, find_worlds, load_world
 from gibson_sim.types import Pose

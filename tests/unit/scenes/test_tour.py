@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from gibson_sim.errors import ConfigError, SceneError
-from gibson_sim.scenes.floor_map import FloorMap
-from gibson_sim.scenes.tour import choose_start, plan_tour
+from gibson_sim.maps.floor_map import FloorMap
+from gibson_sim.maps.tour import choose_start, plan_tour
 
 RADIUS = 0.2
 CELL = 0.05

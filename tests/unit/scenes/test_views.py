@@ -9,11 +9,10 @@ import pytest
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import ConfigError, GibsonSimError, RobotError
 from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_xyz_rpy, transform_points
-from gibson_sim.scenes.floor_extent import extent_of_triangles
+from gibson_sim.maps.floor_extent import extent_of_triangles
 from gibson_sim.scenes.load_views import load_camera_file, read_views
 from gibson_sim.scenes.spec import DrawnScene, LightSpec
-from gibson_sim.scenes.view_links import Views
-from gibson_sim.scenes.views import FloorExtent, Follow, Orbit, Top
+from gibson_sim.scenes.views import FloorExtent, Follow, Orbit, Top, Views
 from gibson_sim.types import NS_PER_S, CameraSpec, Pose, SceneState
 
 LINKS = ("left/base", "left/wheel", "right/base", "door/leaf")

@@ -11,15 +11,15 @@ import pytest
 from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
 from gibson_sim.robots.load import load_robot
-from gibson_sim.tasks.arm_scripts import drive
 from gibson_sim.tasks.controls import Controls
-from gibson_sim.tasks.driving import Driver
 from gibson_sim.tasks.episode import Episode, Goal, Item, View, item_root, view_of
 from gibson_sim.tasks.ground import Ground, footprint, ground_of
+from gibson_sim.tasks.kinds.open_door import JAMBS, WALL_X
 from gibson_sim.tasks.metrics import Meter, episode_values, summary, touched_by, wilson
 from gibson_sim.tasks.observing import CLASSES, FARTHEST, SCAN_RANGE, Layout, full_state, own_state
-from gibson_sim.tasks.open_door import JAMBS, WALL_X
 from gibson_sim.tasks.registry import TASKS, check_baseline, task_of
+from gibson_sim.tasks.scripts.arm import drive
+from gibson_sim.tasks.scripts.driving import Driver
 from gibson_sim.types import Contact, Pose, SceneState
 
 BASE = "robot/base_footprint"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 from gibson_sim.errors import RecordError
@@ -20,3 +21,32 @@ def check_bag(folder: str | Path) -> None:
         raise RecordError(f"there is no bag at {path}: give the folder that was recorded")
     if not any(file.name.endswith((*_FILES, *(f"{suffix}.zstd" for suffix in _FILES))) for file in path.iterdir()):
         raise RecordError(f"{path} holds no mcap or db3 file, must be the folder of one bag; give the folder that was recorded")
+
+
+MIB = 1024 * 1024
+EMERGENCY_BYTES = 8 * MIB
+"""Size of the file that is given up when the disk is full: room for what is in hand, the index and the metadata."""
+
+
+class DiskFullError(RecordError):
+    """The disk is full, or nearly so. The bag was closed and holds everything up to here."""
+
+
+def check_room(folder: Path, reserve_bytes: int) -> None:
+    """Checks that a bag can be begun.
+
+    Args:
+        folder: of the bag; it need not exist.
+        reserve_bytes: recording ends when the disk has less than this left.
+
+    Raises:
+        DiskFullError: the disk has less left already.
+        OSError: nobody can say.
+    """
+    there = next(place for place in (folder, *folder.absolute().parents) if place.is_dir())
+    free, needed = shutil.disk_usage(there).free, reserve_bytes + EMERGENCY_BYTES
+    if free < needed:
+        raise DiskFullError(
+            f"the disk of {folder} has {free / MIB:.0f} MiB left, recording needs more than {needed / MIB:.0f} MiB: make room, choose "
+            "another disk or reserve less"
+        )

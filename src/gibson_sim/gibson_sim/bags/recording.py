@@ -6,9 +6,10 @@ simulation was reset, or started anew), the bag is closed and the recording goes
 
 from __future__ import annotations
 
+import heapq
 import logging
-from collections import Counter
-from collections.abc import Iterable
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -16,13 +17,157 @@ from typing import Any, cast
 from gibson_sim.bags.definitions import MessageDefinitions
 from gibson_sim.bags.mcap_file import Compression
 from gibson_sim.bags.metadata import Profile, TopicQos
-from gibson_sim.bags.snapshot_memory import LatchedMessages, SnapshotMemory, Stored
 from gibson_sim.bags.stamps import stamp_ns
 from gibson_sim.bags.storage import Storage
 from gibson_sim.bags.writer import BagWriter
 from gibson_sim.client_config import RecordConfig
 from gibson_sim.errors import ConfigError, RecordError
 from gibson_sim.types import NS_PER_S
+
+CLOCK = "/clock"
+Message = tuple[str, bytes]
+"""Topic and CDR bytes."""
+
+
+class Beginning:
+    """Holds messages back until it is known where the recording begins.
+
+    A new process hears of the others one by one, which takes a second and more. Where time runs freely, all that is heard is recorded. In
+    lockstep nothing is to be missing: where the simulation was there before the recorder, the bag begins with the first /clock after everybody is
+    heard. Latched messages of before are in it, too.
+
+    Args:
+        is_latched: whether a topic is.
+    """
+
+    def __init__(self, is_latched: Callable[[str], bool]) -> None:
+        self._is_latched = is_latched
+        self._held: list[Message] = []
+        self._first_ns: int | None = None
+        self._leaves_out = self._waits_for_clock = False
+        self.is_open = False
+        """Whether it has begun: nothing is held back any more."""
+
+    @property
+    def has_clock(self) -> bool:
+        """Whether /clock came."""
+        return self._first_ns is not None
+
+    @property
+    def is_late(self) -> bool:
+        """Whether time was running already when the first /clock came."""
+        return bool(self._first_ns)
+
+    def open(self) -> None:
+        """Begins with all that was held back."""
+        self.is_open = True
+
+    def leave_out(self) -> None:
+        """Leaves out what came so far, and what comes before ``begin_with_clock``."""
+        self._leaves_out = True
+
+    def begin_with_clock(self) -> None:
+        """Begins with the next /clock."""
+        self._leaves_out = self._waits_for_clock = True
+
+    def let_through(self, messages: Iterable[Message]) -> list[Message]:
+        """Returns what is to be recorded by now, in its order: of these messages, and of those that were held back."""
+        for topic, data in messages:
+            if topic == CLOCK and not self.is_open:
+                self._note_clock(stamp_ns(data))
+            self._held.append((topic, data))
+        if self.is_open:
+            released, self._held = self._held, []
+            return released
+        if self._leaves_out:
+            self._drop()
+        return []
+
+    def _note_clock(self, now_ns: int) -> None:
+        if self._first_ns is None:
+            self._first_ns = now_ns
+        if self._waits_for_clock:
+            self._drop()
+            self.is_open = True
+
+    def _drop(self) -> None:
+        self._held = [message for message in self._held if self._is_latched(message[0])]
+
+
+TF = "tf2_msgs/msg/TFMessage"
+_MOST_TRANSFORMS = 200
+"""Messages kept of one latched topic of transforms, where each sender adds to what the others said."""
+
+Stored = tuple[int, str, bytes]
+"""Log time in nanoseconds, topic, CDR bytes."""
+
+
+class LatchedMessages:
+    """What a late joiner would get: the last message of each latched topic, and all of those with transforms."""
+
+    def __init__(self) -> None:
+        self._kept: dict[str, deque[Stored]] = {}
+
+    def add(self, topic: str, type_name: str, stamp_ns: int, data: bytes) -> None:
+        """Takes a message of a latched topic."""
+        kept = self._kept.setdefault(topic, deque(maxlen=_MOST_TRANSFORMS if type_name == TF else 1))
+        again = next((message for message in kept if message[2] == data), None)
+        if again is not None:
+            kept.remove(again)
+        kept.append((stamp_ns, topic, data))
+
+    def restart(self, stamp_ns: int) -> None:
+        """Moves everything to one time, nanoseconds: that at which time began anew."""
+        for topic, kept in self._kept.items():
+            self._kept[topic] = deque(((stamp_ns, name, data) for _, name, data in kept), maxlen=kept.maxlen)
+
+    def messages(self) -> list[Stored]:
+        """Returns what is kept in the order in which it came."""
+        return sorted((message for kept in self._kept.values() for message in kept), key=lambda m: m[0])
+
+
+class SnapshotMemory:
+    """The messages of the last seconds of simulation time, as far as the memory allows."""
+
+    def __init__(self, span_ns: int, most_bytes: int) -> None:
+        """Takes the limits.
+
+        Args:
+            span_ns: messages older than this are forgotten, nanoseconds.
+            most_bytes: of all messages together; the oldest go first.
+        """
+        self._span_ns, self._most_bytes = span_ns, most_bytes
+        self._messages: deque[Stored] = deque()
+        self._bytes = 0
+        self.crowded = False
+        """True once the memory was too small for the seconds."""
+
+    def add(self, topic: str, stamp_ns: int, data: bytes) -> None:
+        """Takes a message; stamps (nanoseconds) must not run backwards."""
+        self._messages.append((stamp_ns, topic, data))
+        self._bytes += len(data)
+        while self._messages[0][0] < stamp_ns - self._span_ns:
+            self._forget()
+        while self._bytes > self._most_bytes:
+            self.crowded = True
+            self._forget()
+
+    def with_latched(self, latched: LatchedMessages) -> Iterator[Stored]:
+        """Yields what is kept in the order of time, latched messages of before at the time of the first one."""
+        if not self._messages:
+            return iter(())
+        start = self._messages[0][0]
+        first = [(max(start, stamp), topic, data) for stamp, topic, data in latched.messages()]
+        return heapq.merge(first, self._messages, key=lambda message: message[0])
+
+    def clear(self) -> None:
+        """Forgets everything."""
+        self._messages.clear()
+        self._bytes = 0
+
+    def _forget(self) -> None:
+        self._bytes -= len(self._messages.popleft()[2])
+
 
 MOST_WAITING = 1000
 """Messages that wait for the first clock, beside latched ones."""

@@ -1,6 +1,6 @@
 """What of a bag a run is repeated from: settings, inputs with their steps, commands with their times, digests, the end.
 
-Pure: it knows CDR bytes, not messages. ``gibson_sim.ros.replay_node`` sends what ``InputSchedule`` hands out.
+Pure: it knows CDR bytes, not messages. ``gibson_sim.ros.nodes.replay_node`` sends what ``InputSchedule`` hands out.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What drawing a recorded run again takes from its bag: which topics, which states, and when which camera is due. Pure.
 
-``gibson_sim.ros.render_bag`` draws and writes.
+``gibson_sim.ros.nodes.render_bag`` draws and writes.
 """
 
 from __future__ import annotations

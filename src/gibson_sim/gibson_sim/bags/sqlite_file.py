@@ -11,8 +11,8 @@ from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
+from gibson_sim.bags.folders import MIB
 from gibson_sim.bags.metadata import ROS_DISTRO, VERSION, TopicRecord, dump_information, dump_qos, offered_qos
-from gibson_sim.bags.room import MIB
 from gibson_sim.bags.storage import EmptyFileError, FileContents
 from gibson_sim.errors import RecordError
 

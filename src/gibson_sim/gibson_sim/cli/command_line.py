@@ -8,18 +8,12 @@ import sys
 from importlib import import_module
 
 from gibson_sim import __version__
-from gibson_sim.cli.exit_codes import ExitCode, table
-from gibson_sim.cli.parser import Parser, choice_error
+from gibson_sim.cli.commands import COMMANDS, command_modules, not_installed
+from gibson_sim.cli.parser import ExitCode, Parser, choice_error, table
 from gibson_sim.errors import AlreadyRunningError, GibsonSimError
 from gibson_sim.interrupts import Interruptible
 from gibson_sim.writing import cannot_write, is_of_the_disk
 
-MODULE_OF = {
-    "run": "run", "drive": "clients", "record": "clients", "snapshot": "clients", "bag": "bag", "bench": "bench", "compare": "compare",
-    "demo": "demo", "doctor": "doctor", "env": "env", "export": "export", "gallery": "gallery", "params": "params", "render": "render",
-    "replay": "replay", "scene": "scene", "task": "task", "top": "top",
-}  # fmt: skip
-"""Sub-command -> module of this package that has it. Only that module is loaded: a launcher needs neither PyBullet nor OpenGL."""
 EPILOG = f"""\
 {table()}
 
@@ -37,7 +31,7 @@ def run(words: list[str]) -> int:
     Raises:
         SystemExit: the words are no command line; or they ask for help or the version.
     """
-    args = _parser(words[0] if words else "").parse_args(words)
+    args = _parser(words).parse_args(words)
     interruptible = Interruptible()
     try:
         with interruptible:
@@ -80,8 +74,11 @@ def _fail(error: GibsonSimError, code: ExitCode) -> ExitCode:
     return code
 
 
-def _parser(command: str) -> argparse.ArgumentParser:
-    """Returns the parser of a sub-command, or of all where none is named."""
+def _parser(words: list[str]) -> argparse.ArgumentParser:
+    """Returns the parser of the sub-command that ``words`` begin with, or of all where they name none.
+
+    Only that command's module is loaded: a launcher needs neither PyBullet nor OpenGL.
+    """
     parser = Parser(
         prog="gibson-sim",
         description="A ROS 2 simulation server for indoor robots.",
@@ -89,9 +86,14 @@ def _parser(command: str) -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"gibson-sim {__version__}")
-    if command and command not in MODULE_OF and not command.startswith("-"):
-        parser.error(f"command {choice_error(command, MODULE_OF)}")
+    command = words[0] if words else ""
+    modules = {command: f"gibson_sim.cli.{COMMANDS[command]}"} if command in COMMANDS else command_modules()
+    missing = not_installed(words)
+    if missing:
+        parser.error(missing)
+    if command and command not in modules and not command.startswith("-"):
+        parser.error(f"command {choice_error(command, modules)}")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for module in dict.fromkeys([MODULE_OF[command]] if command in MODULE_OF else MODULE_OF.values()):
-        import_module(f"gibson_sim.cli.{module}").add_parser(subparsers)
+    for module in dict.fromkeys([modules[command]] if command in modules else modules.values()):
+        import_module(module).add_parser(subparsers)
     return parser

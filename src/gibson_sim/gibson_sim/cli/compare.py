@@ -9,7 +9,7 @@ from typing import Any
 
 from gibson_sim import __version__
 from gibson_sim.bags.folders import check_bag
-from gibson_sim.cli.exit_codes import ExitCode
+from gibson_sim.cli.parser import ExitCode
 from gibson_sim.errors import ConfigError
 from gibson_sim.writing import write_file
 

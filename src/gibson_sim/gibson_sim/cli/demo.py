@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any
 from gibson_sim.bags.film import write_film, write_film_strip
 from gibson_sim.bags.reader import BagReader
 from gibson_sim.cli.environment import add_network, environment_of, require_nodes
-from gibson_sim.cli.exit_codes import ExitCode
 from gibson_sim.cli.job import STATE_TOPIC, Job, run_job, say
-from gibson_sim.cli.parser import choice_error
+from gibson_sim.cli.parser import ExitCode, choice_error
 from gibson_sim.cli.report_file import write_json
 from gibson_sim.client_config import RecordConfig, TaskConfig
 from gibson_sim.config import DEFAULT_SCENE, PhysicsConfig, RenderConfig
@@ -25,8 +24,8 @@ from gibson_sim.types import NS_PER_S
 from gibson_sim.writing import write_file
 
 if TYPE_CHECKING:
-    from gibson_sim.tasks.doors import HingedDoor
     from gibson_sim.tasks.episode import Episode
+    from gibson_sim.tasks.scripts.doors import HingedDoor
 
 DEMOS = {"open-door": "goes before a closed door, takes its handle, pulls it open by backing up, and drives through"}
 VIEW = "view_orbit"
@@ -66,9 +65,9 @@ def run(args: argparse.Namespace) -> int:
     """Runs the demo; the code is that of the job, and 1 where the robot did not succeed."""
     _check(args)
     require_nodes()
-    from gibson_sim.tasks.arm_scripts import Arm
     from gibson_sim.tasks.ground import ground_of
-    from gibson_sim.tasks.open_door import OPEN, OpenDoor, episode_door
+    from gibson_sim.tasks.kinds.open_door import OPEN, OpenDoor, episode_door
+    from gibson_sim.tasks.scripts.arm import Arm
 
     find_scene(args.scene)
     ground = ground_of(args.scene, args.robot)

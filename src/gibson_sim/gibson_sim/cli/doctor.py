@@ -140,7 +140,7 @@ print(json.dumps([dataclasses.asdict(d) for d in list_devices()]))
 _DRAW = "from gibson_sim.render.self_test import self_test; print(self_test({index}))"
 _CUDA = """
 import dataclasses, json
-from gibson_sim.render.cuda import CudaPython
+from gibson_sim.render.readback.cuda import CudaPython
 print(json.dumps([dataclasses.asdict(d) for d in CudaPython().devices()]))
 """
 _GRAPHICS_REMEDY = (
@@ -211,7 +211,7 @@ def _dds() -> Iterator[Finding]:
     else:
         remedy = f"if images arrive late or with gaps, take the shared memory of {profile_of(SUBNET)} into it"
         yield Finding("DDS profile", "warn", f"yours: {profile}", remedy)
-    ok, text = _try("from gibson_sim.ros.dds_check import main; main()")
+    ok, text = _try("from gibson_sim.ros.nodes.dds_check import main; main()")
     yield Finding(
         "large images",
         "ok" if ok else "FAIL",

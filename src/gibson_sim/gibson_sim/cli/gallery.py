@@ -6,13 +6,13 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.cli.exit_codes import ExitCode
+from gibson_sim.cli.parser import ExitCode
 from gibson_sim.config import DEFAULT_SCENE
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_matrix
+from gibson_sim.maps.placement import populate
 from gibson_sim.picture_files import write_picture
 from gibson_sim.resources import find_config
-from gibson_sim.scenes.placement import populate
-from gibson_sim.scenes.randomise_yaml import load_rules
+from gibson_sim.scenes.randomise import load_rules
 from gibson_sim.scenes.spec import drawn_scene
 
 

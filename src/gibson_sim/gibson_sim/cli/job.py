@@ -6,22 +6,54 @@ import json
 import shutil
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from gibson_sim.bags.room import check_room
+from gibson_sim.bags.folders import check_room
+from gibson_sim.bags.video import write_contact_sheet, write_video
 from gibson_sim.cli.environment import domain_of
-from gibson_sim.cli.exit_codes import ExitCode
+from gibson_sim.cli.parser import ExitCode
 from gibson_sim.cli.processes import NodeProcess, StopRequest
 from gibson_sim.cli.report_file import write_json
-from gibson_sim.cli.restarts import Restarts
 from gibson_sim.cli.shared_memory import remove_dead_segments
 from gibson_sim.errors import ConfigError, GibsonSimError, RecordError
 from gibson_sim.reach import describe_reach
 from gibson_sim.standard.domain_lock import DomainLock
 from gibson_sim.standard.job_folder import LOADED, JobFolder
+
+
+def write_pictures(bag: Path, video: Path) -> list[Path]:
+    """Writes the video and, beside it, a contact sheet with the same name and ``.png``; returns both paths."""
+    sheet = video.with_suffix(".png")
+    write_video(bag, video)
+    write_contact_sheet(bag, sheet)
+    return [video, sheet]
+
+
+class Restarts:
+    """Counts the restarts of a node by time: a fault that returns at once ends the run, one now and then does not."""
+
+    def __init__(self, limit: int, window_s: float, now_s: Callable[[], float] = time.monotonic) -> None:
+        """At most ``limit`` restarts within ``window_s`` seconds of ``now_s``, a clock that never goes back."""
+        self._limit, self._window_s, self._now_s = limit, window_s, now_s
+        self._recent: deque[float] = deque()
+        self.total = 0
+        """Restarts since the beginning."""
+
+    def allow(self) -> bool:
+        """Returns whether the node may start once more, and counts that it does."""
+        now = self._now_s()
+        while self._recent and now - self._recent[0] >= self._window_s:
+            self._recent.popleft()
+        if len(self._recent) >= self._limit:
+            return False
+        self._recent.append(now)
+        self.total += 1
+        return True
+
 
 MAX_RESTARTS, RESTART_WINDOW_S = 3, 600.0
 """A render node that crashes once more within this time, seconds of wall time, ends the run."""
@@ -203,7 +235,6 @@ class JobRun:
             self._code = self._code or ExitCode.ERROR
 
     def _write_pictures(self) -> None:
-        from gibson_sim.cli.pictures import write_pictures  # OpenCV and a video encoder with it
 
         assert self._job.bag is not None and self._job.video is not None
         for path in write_pictures(self._job.bag, self._job.video):

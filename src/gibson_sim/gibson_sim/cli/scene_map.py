@@ -9,12 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gibson_sim.cli.exit_codes import ExitCode
+from gibson_sim.cli.parser import ExitCode
 from gibson_sim.errors import ConfigError
 
 if TYPE_CHECKING:
-    from gibson_sim.scenes.floor_map import FloorMap
-    from gibson_sim.scenes.maps.traversability import RobotSize
+    from gibson_sim.maps.floor_map import FloorMap
+    from gibson_sim.maps.traversability import RobotSize
 
 _FOR_PICTURES = ("output", "floor", "resolution", "no_bodies")
 _OUTPUT, _RESOLUTION = Path("maps"), 0.05
@@ -44,7 +44,7 @@ def add_parser(subparsers: Any) -> None:
 
 def _run(args: argparse.Namespace) -> ExitCode:
     # Loaded here: the other sub-commands need none of it.
-    from gibson_sim.scenes.maps.traversability import RobotSize
+    from gibson_sim.maps.traversability import RobotSize
 
     if args.write:
         return _write(args)
@@ -59,9 +59,9 @@ def _robot(args: argparse.Namespace, usual: RobotSize) -> RobotSize:
 
 
 def _write(args: argparse.Namespace) -> ExitCode:
+    from gibson_sim.maps.scene_files import USUAL_ROBOT, write_scene_files
     from gibson_sim.resources import find_scene
     from gibson_sim.scenes.load import description_file
-    from gibson_sim.scenes.maps.scene_files import USUAL_ROBOT, write_scene_files
 
     given = [name for name in _FOR_PICTURES if getattr(args, name) is not None]
     unused = [f"--{name.replace('_', '-')}" for name in given]
@@ -73,10 +73,9 @@ def _write(args: argparse.Namespace) -> ExitCode:
 
 
 def _export(args: argparse.Namespace, robot: RobotSize) -> ExitCode:
+    from gibson_sim.maps.export import write_gibson_maps, write_nav2_map, write_picture
+    from gibson_sim.maps.traversability import floor_maps, scene_floors
     from gibson_sim.scenes.load import load_scene
-    from gibson_sim.scenes.maps.export import write_gibson_maps, write_nav2_map, write_picture
-    from gibson_sim.scenes.maps.levels import scene_floors
-    from gibson_sim.scenes.maps.traversability import floor_maps
 
     output = args.output or _OUTPUT
     resolution = _RESOLUTION if args.resolution is None else args.resolution

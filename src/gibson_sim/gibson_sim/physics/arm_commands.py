@@ -1,6 +1,6 @@
 """What a world offers for arms: grasp, let go, move a tool, ask where it is. ``PhysicsWorld`` has all of this.
 
-    world.grasp(robot, arm)             take hold of what is in reach, by the rules of ``robots.grasping``: returns a GraspState
+    world.grasp(robot, arm)             take hold of what is in reach, by the rules of ``robots.joints.grasping``: returns a GraspState
     world.release(robot, arm)           let go
     world.grasp_state(robot, arm)       what the gripper holds, and the force
     world.move_gripper(robot, opening)  0 = closed, 1 = open; closing grasps and opening lets go, as any command to its joints does
@@ -25,10 +25,10 @@ from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.link_poses import link_pose
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.collision_count import CollisionCount
-from gibson_sim.robots.grasping import GraspState
-from gibson_sim.robots.joint_commands import JointCommand, JointPositions
-from gibson_sim.robots.kinematics import ChainSolution
-from gibson_sim.robots.servo import ToolTwist
+from gibson_sim.robots.joints.commands import JointCommand, JointPositions
+from gibson_sim.robots.joints.grasping import GraspState
+from gibson_sim.robots.joints.kinematics import ChainSolution
+from gibson_sim.robots.joints.servo import ToolTwist
 from gibson_sim.types import Pose, SceneState
 
 

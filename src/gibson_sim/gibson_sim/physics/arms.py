@@ -14,15 +14,15 @@ from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.engine_types import EngineContact
 from gibson_sim.physics.grasper import Grasper
-from gibson_sim.physics.reach import Reach
+from gibson_sim.physics.proximity import Reach
 from gibson_sim.physics.robot import RobotInWorld
 from gibson_sim.physics.tool_servo import ToolServo
 from gibson_sim.quoting import quoted
 from gibson_sim.robots.collision_count import STANDING_HEIGHT, STANDING_NORMAL, CollisionCount, CollisionCounter
-from gibson_sim.robots.grasping import GraspSettings, gripper_move
-from gibson_sim.robots.joint_commands import JointCommand
-from gibson_sim.robots.manipulator_spec import ManipulatorSpec
-from gibson_sim.robots.servo import ServoSettings
+from gibson_sim.robots.joints.commands import JointCommand
+from gibson_sim.robots.joints.grasping import GraspSettings, gripper_move
+from gibson_sim.robots.joints.servo import ServoSettings
+from gibson_sim.robots.spec import ManipulatorSpec
 
 
 @dataclass(slots=True)

@@ -15,16 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.description.mimic import Mimic
 from gibson_sim.errors import PhysicsError
+from gibson_sim.physics.active_bodies import ActiveBodies, Sleepers, parts_of
 from gibson_sim.physics.engine import pybullet as p, quiet
-from gibson_sim.physics.engine_files import EngineFiles
+from gibson_sim.physics.engine_files import EngineFiles, mesh_pieces
 from gibson_sim.physics.engine_types import BulletBody, EngineContact, JointReading
 from gibson_sim.physics.frames import cross, product, turn
-from gibson_sim.physics.islands import ActiveBodies, parts_of
-from gibson_sim.physics.mesh_pieces import mesh_pieces
-from gibson_sim.physics.sleeping import Sleepers
 from gibson_sim.quoting import quoted
-from gibson_sim.robots.mimic import Mimic
 from gibson_sim.types import Pose, Quat, Vec3
 
 _RAYS_PER_CALL = 16_000
@@ -175,7 +173,7 @@ class Bullet:
         """Adds a body whose root link frame is at ``pose``; its motors are off.
 
         Args:
-            text: URDF with absolute mesh paths (``robots.rigid.physics_urdf``).
+            text: URDF with absolute mesh paths (``description.rigid_groups.physics_urdf``).
             pose: T_world_root.
             name: for error messages.
             static: its root never moves by itself.

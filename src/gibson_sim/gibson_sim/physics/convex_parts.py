@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import PhysicsError
 from gibson_sim.physics.engine import pybullet, quiet
-from gibson_sim.physics.obj_text import objects_of_obj, to_obj
+from gibson_sim.physics.engine_files import objects_of_obj, to_obj
 
 _VOXELS = 50_000
 """That V-HACD cuts a mesh into."""

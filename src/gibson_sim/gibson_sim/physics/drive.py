@@ -6,14 +6,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+from gibson_sim.description.rigid_groups import rigid_groups
+from gibson_sim.description.urdf import UrdfModel
 from gibson_sim.geometry.transforms import matrix_from_quat
 from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.robots.drives import BaseServo, Drive, PlanarVelocity
-from gibson_sim.robots.joint_control import ARRIVED, servo_speed
-from gibson_sim.robots.rigid import rigid_groups
-from gibson_sim.robots.urdf import UrdfModel
-from gibson_sim.robots.wheel_odometry import WheelOdometry
+from gibson_sim.robots.drives.wheel_odometry import WheelOdometry
+from gibson_sim.robots.joints.control import ARRIVED, servo_speed
 from gibson_sim.types import NS_PER_S
 
 _SETTLING = 0.1

@@ -9,11 +9,11 @@ from gibson_sim.physics.attachments import AttachmentKind, Attachments
 from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.engine_types import EngineContact
-from gibson_sim.physics.reach import Reach
+from gibson_sim.physics.proximity import Reach
 from gibson_sim.physics.robot import RobotInWorld
 from gibson_sim.quoting import quoted
-from gibson_sim.robots.grasping import Candidate, GraspSettings, GraspState, best_candidate, hinge_of, reason_to_let_go
-from gibson_sim.robots.manipulator_spec import ManipulatorSpec
+from gibson_sim.robots.joints.grasping import Candidate, GraspSettings, GraspState, best_candidate, hinge_of, reason_to_let_go
+from gibson_sim.robots.spec import ManipulatorSpec
 from gibson_sim.types import NS_PER_S, Vec3
 
 CLOSING_NS = NS_PER_S

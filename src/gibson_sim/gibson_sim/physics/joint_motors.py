@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
+from gibson_sim.description.urdf import UrdfJoint
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.engine_types import BulletBody
-from gibson_sim.robots.joint_commands import JointCommand, JointTrajectory
-from gibson_sim.robots.joint_control import JointControl
-from gibson_sim.robots.urdf import UrdfJoint
+from gibson_sim.robots.joints.commands import JointCommand, JointTrajectory
+from gibson_sim.robots.joints.control import JointControl
 from gibson_sim.types import NS_PER_S
 
 _HOLD_EFFORT = 100.0

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from gibson_sim.description.urdf import read_urdf
 from gibson_sim.physics.body import BodyInWorld
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.drive import DriveInWorld, without_friction
 from gibson_sim.physics.joint_motors import JointMotors
 from gibson_sim.robots.drives import active_command, make_drive
+from gibson_sim.robots.drives.wheel_odometry import WheelOdometry
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.robots.urdf import read_urdf
-from gibson_sim.robots.wheel_odometry import WheelOdometry
 from gibson_sim.types import VelocityCommand
 
 

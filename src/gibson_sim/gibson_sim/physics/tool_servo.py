@@ -9,9 +9,9 @@ from gibson_sim.geometry.transforms import matrix_from_quat
 from gibson_sim.physics.bullet import Bullet
 from gibson_sim.physics.robot import RobotInWorld
 from gibson_sim.quoting import quoted
-from gibson_sim.robots.joint_commands import JointTrajectory, JointVelocities
-from gibson_sim.robots.manipulator_spec import ManipulatorSpec
-from gibson_sim.robots.servo import F64, ServoSettings, ToolTwist, limited_twist, servo_speeds
+from gibson_sim.robots.joints.commands import JointTrajectory, JointVelocities
+from gibson_sim.robots.joints.servo import F64, ServoSettings, ToolTwist, limited_twist, servo_speeds
+from gibson_sim.robots.spec import ManipulatorSpec
 from gibson_sim.types import NS_PER_S
 
 _PERIOD_NS = NS_PER_S // 100

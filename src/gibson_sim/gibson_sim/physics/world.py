@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from types import TracebackType
 from typing import Any
@@ -12,7 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gibson_sim.errors import CommandError, ConfigError, PhysicsError, StartError
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.shapes import Shape
+from gibson_sim.errors import CommandError, ConfigError, MeshError, PhysicsError, StartError
+from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.geometry.transforms import Mat4
 from gibson_sim.physics.arm_commands import ArmCommands
 from gibson_sim.physics.arms import Arms
@@ -23,18 +26,95 @@ from gibson_sim.physics.engine_types import EngineContact
 from gibson_sim.physics.link_poses import LinkPoses, link_pose, link_twist
 from gibson_sim.physics.proximity import Neighbour, neighbours
 from gibson_sim.physics.robot import RobotInWorld
-from gibson_sim.physics.starts import check_starts
-from gibson_sim.physics.static_shapes import add_static_shapes
 from gibson_sim.quoting import quoted
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.grasping import GraspSettings
-from gibson_sim.robots.joint_commands import JointCommand
-from gibson_sim.robots.odometry_errors import OdometryCovariance, OdometryErrors
+from gibson_sim.robots.collision_count import STANDING_HEIGHT, STANDING_NORMAL
+from gibson_sim.robots.drives.odometry_errors import OdometryCovariance, OdometryErrors
+from gibson_sim.robots.joints.commands import JointCommand
+from gibson_sim.robots.joints.grasping import GraspSettings
+from gibson_sim.robots.joints.servo import ServoSettings
 from gibson_sim.robots.sensor_specs import WheelOdometrySpec
-from gibson_sim.robots.servo import ServoSettings
 from gibson_sim.robots.spec import RobotSpec
+from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import NS_PER_S, Contact, JointStates, Odometry, Pose, SceneState, Vec3, VelocityCommand
+
+_DEEPEST = 0.05
+"""Metres that a robot may reach into something where it starts: it is pushed out gently."""
+
+
+def check_starts(bullet: Bullet, robots: Iterable[BodyInWorld], others: Collection[BodyInWorld]) -> None:
+    """Checks where robots were just put.
+
+    Args:
+        bullet: The engine.
+        robots: Stand at their starts.
+        others: All robots and bodies; static shapes count in any case.
+
+    Raises:
+        StartError: one reaches deeper into something than is allowed. What it stands on does not count.
+    """
+    for robot in robots:
+        x, y, z = robot.root_state(bullet)[0].position
+        deepest, where = _DEEPEST, ""
+        for gap in bullet.overlaps(robot.body, [one.body for one in others if one is not robot]):
+            stands = gap.normal[2] > STANDING_NORMAL and gap.position[2] < z + STANDING_HEIGHT
+            if -gap.distance > deepest and not stands:
+                deepest, where = -gap.distance, gap.other
+        if where:
+            raise StartError(
+                f"robot {quoted(robot.name)} would start at ({x:.2f}, {y:.2f}, {z:.2f}), {deepest:.2f} m deep in {quoted(where)}; at most "
+                f"{_DEEPEST:g} m are allowed: choose a free place as its start"
+            )
+
+
+GROUND = "ground"
+"""What contacts call the endless plane."""
+_SMALLEST_AREA = 1e-12
+"""Square metres: smaller triangles are dropped; their normal is noise, and Bullet's contacts with them too."""
+
+
+def add_static_shapes(bullet: Bullet, scene: SceneSpec) -> list[str]:
+    """Puts the ground and all collision shapes of a scene into the engine; returns what was left out, one line each."""
+    warnings: list[str] = []
+    if scene.ground_z is not None:
+        bullet.add_static(bullet.plane_shape(), Pose((0.0, 0.0, scene.ground_z)), GROUND)
+    loader = MeshLoader(scene_roots(scene), textures=False)
+    known: dict[Shape, Sequence[int]] = {}
+    for collision in scene.collisions:
+        if collision.shape not in known:
+            known[collision.shape] = _static_shape(bullet, loader, collision.shape, collision.name, warnings)
+        bullet.add_static(known[collision.shape], collision.pose, collision.name)
+    return warnings
+
+
+def _static_shape(bullet: Bullet, loader: MeshLoader, shape: Shape, name: str, warnings: list[str]) -> Sequence[int]:
+    """Returns the engine's numbers of a shape; none, with a warning, for a mesh without collision geometry."""
+    if shape.kind == "box":
+        return bullet.box_shape(shape.size)
+    if shape.kind == "sphere":
+        return bullet.sphere_shape(shape.size[0])
+    if shape.kind == "cylinder":
+        return bullet.cylinder_shape(shape.size[0], shape.size[1])
+    try:
+        vertices, triangles = loader.shape(shape).merged()
+    except MeshError as error:
+        warnings.append(f"collision {quoted(name)} is left out: {error}")
+        return []
+    sound = sound_triangles(vertices, triangles)
+    if not len(sound):
+        warnings.append(f"collision {quoted(name)} is left out: {shape.mesh} has no triangle with an area")
+        return []
+    return bullet.mesh_shape(vertices, sound, shape.mesh)
+
+
+def sound_triangles(vertices: NDArray[np.float64], triangles: ArrayLike) -> NDArray[np.int64]:
+    """Returns those of ``triangles``, (T, 3), that have an area and finite corners."""
+    corners: NDArray[np.int64] = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
+    a, b, c = (vertices[corners[:, i]] for i in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    sound: NDArray[np.int64] = corners[np.isfinite(area) & (area > _SMALLEST_AREA)]
+    return sound
+
 
 logger = logging.getLogger(__name__)
 

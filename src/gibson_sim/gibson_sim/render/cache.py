@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim import __version__
-from gibson_sim.render.batches import Batches
-from gibson_sim.render.clusters import simplifier
+from gibson_sim.description.shapes import VisualSpec
+from gibson_sim.render.batching.batches import Batches
+from gibson_sim.render.lod.clusters import simplifier
 from gibson_sim.resources import cache_folder
-from gibson_sim.robots.spec import VisualSpec
 
 _log = logging.getLogger(__name__)
 _MAGIC = b"gibson-sim scene 3\n"
@@ -232,10 +232,9 @@ def _mark(file: Path) -> tuple[int, int] | None:
 def _code_digest() -> str:
     """Returns a digest of the code that reads meshes and cuts them: another version of it may make something else of them."""
     package = Path(__file__).parent.parent
-    files = [file for folder in ("geometry", "scenes") for file in sorted((package / folder).glob("*.py"))]
-    files += [
-        package / "render" / f"{name}.py" for name in ("batches", "building", "clusters", "joining", "material_table", "solids")
-    ]
+    folders = ("geometry", "description", "formats", "scenes", "render/batching", "render/lod")
+    files = [file for folder in folders for file in sorted((package / folder).glob("*.py"))]
+    files.append(package / "render" / "culling" / "closed_solids.py")
     digest = hashlib.sha256()
     for file in files:
         digest.update(file.read_bytes())

@@ -15,24 +15,25 @@ from numpy.typing import NDArray
 
 from gibson_sim.config import DETAIL_PX
 from gibson_sim.errors import ConfigError, RenderError, SceneMismatchError
+from gibson_sim.formats.load_mesh import MeshLoader, mesh_folders
 from gibson_sim.geometry.exposures import Exposure, exposures
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
-from gibson_sim.render.batches import Batches, Loader, Progress
-from gibson_sim.render.building import build_batches
+from gibson_sim.render.batching.batches import Batches, Loader, Progress
+from gibson_sim.render.batching.building import build_batches
+from gibson_sim.render.batching.composition import Composition
 from gibson_sim.render.cache import SceneCache
-from gibson_sim.render.composition import Composition
 from gibson_sim.render.context import LIBRARY, GlContext, open_context
-from gibson_sim.render.drawing import Drawing
-from gibson_sim.render.effects import EffectsPass, changes_colors
-from gibson_sim.render.exposing import Exposing
-from gibson_sim.render.gl_scene import GlScene
-from gibson_sim.render.grouping import Remembered
-from gibson_sim.render.pixel_buffers import Pending, PixelBuffers
-from gibson_sim.render.readback import Readback, Shot, needed
-from gibson_sim.render.target import Target
-from gibson_sim.render.tensors import TensorFrame, Tensors
-from gibson_sim.render.visibility import world_from_links
-from gibson_sim.scenes.mesh import MeshLoader, mesh_folders, scene_roots
+from gibson_sim.render.culling.visibility import world_from_links
+from gibson_sim.render.draw.camera_images import Drawing
+from gibson_sim.render.draw.effects import EffectsPass, changes_colors
+from gibson_sim.render.draw.exposing import Exposing
+from gibson_sim.render.draw.gl_scene import GlScene
+from gibson_sim.render.draw.grouping import Remembered
+from gibson_sim.render.draw.target import Target
+from gibson_sim.render.readback.frames import Readback, Shot, needed
+from gibson_sim.render.readback.pixel_buffers import Pending, PixelBuffers
+from gibson_sim.render.readback.tensors import TensorFrame, Tensors
+from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import DrawnScene, SceneSpec, drawn_scene
 from gibson_sim.types import CameraSpec, Frame, Pose, SceneState
 

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.description.shapes import Shape, VisualSpec
 from gibson_sim.errors import RenderError
+from gibson_sim.formats.mesh import Material, Mesh, MeshPart, TextureSource
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, quat_from_matrix
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.robots.spec import Shape, VisualSpec
-from gibson_sim.scenes.mesh_types import Material, Mesh, MeshPart, TextureSource
 from gibson_sim.scenes.spec import DrawnScene, LightSpec
 from gibson_sim.types import CameraSpec, Frame, Pose, SceneState, Vec3
 

@@ -1,6 +1,6 @@
 """How a robot drives: pure values, one class for each way to steer.
 
-All are in the frame of the base (x forward, y left). ``robots.drives`` has the arithmetic, ``robots.load_drive`` reads the files.
+All are in the frame of the base (x forward, y left). ``robots.drives`` has the arithmetic, ``robots.loading.drive`` reads the files.
 """
 
 from __future__ import annotations

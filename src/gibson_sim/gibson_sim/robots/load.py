@@ -6,25 +6,25 @@ import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from gibson_sim.description.body import model_visuals
+from gibson_sim.description.extents import MeshPoints, reach
+from gibson_sim.description.mesh_files import PACKAGE_SCHEME, resolve_mesh
+from gibson_sim.description.rigid_groups import MOVING_TYPES
+from gibson_sim.description.urdf import UrdfModel, read_urdf
+from gibson_sim.description.xacro import plain_description
 from gibson_sim.errors import ConfigError, RobotError
 from gibson_sim.geometry.transforms import matrix_from_pose
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import is_file, is_folder
 from gibson_sim.resources import find_robot
-from gibson_sim.robots.base_frame import with_base
-from gibson_sim.robots.body import model_visuals
-from gibson_sim.robots.derive import DESCRIPTION_SUFFIXES, DerivedRobot, derive_robot
-from gibson_sim.robots.extents import MeshPoints, reach
-from gibson_sim.robots.load_cameras import read_cameras
-from gibson_sim.robots.load_drive import read_drive
-from gibson_sim.robots.load_manipulators import MANIPULATOR_KEYS, read_manipulators, read_poses
-from gibson_sim.robots.load_sensors import SENSOR_KEYS, read_sensors
-from gibson_sim.robots.mesh_files import PACKAGE_SCHEME, resolve_mesh
-from gibson_sim.robots.rigid import MOVING_TYPES
-from gibson_sim.robots.settings import NAME, Settings, read_yaml
+from gibson_sim.robots.loading.base_frame import with_base
+from gibson_sim.robots.loading.cameras import read_cameras
+from gibson_sim.robots.loading.derive import DESCRIPTION_SUFFIXES, DerivedRobot, derive_robot
+from gibson_sim.robots.loading.drive import read_drive
+from gibson_sim.robots.loading.manipulators import MANIPULATOR_KEYS, read_manipulators, read_poses
+from gibson_sim.robots.loading.sensors import SENSOR_KEYS, read_sensors
+from gibson_sim.robots.loading.settings import NAME, Settings, read_yaml
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.robots.urdf import UrdfModel, read_urdf
-from gibson_sim.robots.xacro import plain_description
 from gibson_sim.types import Pose
 
 logger = logging.getLogger(__name__)
@@ -60,7 +60,7 @@ def load_robot(
     find: Callable[[str], Path] | None = None,
     points: MeshPoints | None = None,
 ) -> RobotSpec:
-    """Returns the robot that a ``robot.yaml`` describes, or a URDF or a xacro, for which it is guessed (``robots.derive``).
+    """Returns the robot that a ``robot.yaml`` describes, or a URDF or a xacro, for which it is guessed (``robots.loading.derive``).
 
     Args:
         path_or_name: A ``robot.yaml``, a URDF, a xacro, a folder that holds one, or the name of a robot that ``find`` knows.

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
+from gibson_sim.description.shapes import VisualSpec
 from gibson_sim.errors import GibsonSimError, SceneNotFoundError
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import exists, is_folder
 from gibson_sim.resources import find_robot, find_scene, share_folders
-from gibson_sim.robots.spec import VisualSpec
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import DrawnScene
 
@@ -47,14 +47,14 @@ def with_local_files(scene: DrawnScene, folders: Sequence[tuple[str, str]] = ())
 
 
 def _picture(visual: VisualSpec) -> str:
-    return visual.look.pattern.image if visual.look is not None and visual.look.pattern is not None else ""
+    return visual.appearance.pattern.image if visual.appearance is not None and visual.appearance.pattern is not None else ""
 
 
 def _visual(visual: VisualSpec, mesh: str, picture: str) -> VisualSpec:
-    look = visual.look
-    if look is not None and look.pattern is not None and picture:
-        look = replace(look, pattern=replace(look.pattern, image=picture))
-    return replace(visual, shape=replace(visual.shape, mesh=mesh), look=look)
+    appearance = visual.appearance
+    if appearance is not None and appearance.pattern is not None and picture:
+        appearance = replace(appearance, pattern=replace(appearance.pattern, image=picture))
+    return replace(visual, shape=replace(visual.shape, mesh=mesh), appearance=appearance)
 
 
 def _located(path: str, folders: Sequence[tuple[str, str]]) -> Path:
@@ -94,7 +94,7 @@ def _folder(kind: str, name: str) -> Path:
 def _difference(scene: DrawnScene, found: dict[str, str]) -> tuple[str, ...]:
     """Returns a warning where the scene here is another one than that of the physics node, as far as its digest tells."""
     # Randomisation is part of the digest that is sent, and cannot be repeated here.
-    if not scene.content_hash or any(visual.look is not None for visual in scene.visuals):
+    if not scene.content_hash or any(visual.appearance is not None for visual in scene.visuals):
         return ()
     for there, here in found.items():
         name = next((name for kind, name, _ in _named(there) if kind == "scenes"), "")

@@ -11,21 +11,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.omissions import Omission, OmissionKind, kind_of
+from gibson_sim.description.shapes import Appearance, Shape, VisualSpec
 from gibson_sim.errors import SceneError, SceneNotFoundError
+from gibson_sim.formats.file_roots import description_roots, is_inside, package_roots
+from gibson_sim.formats.load_mesh import MeshLoader
+from gibson_sim.formats.mesh import TO_Z_UP, UpAxis, merge
+from gibson_sim.formats.textures import IMAGE_SUFFIXES
+from gibson_sim.formats.uris import environment_folders, is_registered
 from gibson_sim.geometry.transforms import pose_from_matrix, transform_points
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import is_file, read_file, real_path
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.omissions import Omission, OmissionKind, kind_of
-from gibson_sim.robots.spec import Look, Shape, VisualSpec
-from gibson_sim.scenes.collision.parts import scan_shapes
-from gibson_sim.scenes.file_roots import description_roots, is_inside, package_roots
-from gibson_sim.scenes.mesh import MeshLoader, shape_triangles
-from gibson_sim.scenes.mesh_types import TO_Z_UP, UpAxis, merge
+from gibson_sim.scenes.collision.simplified import scan_shapes
 from gibson_sim.scenes.room_spec import RoomSpec
+from gibson_sim.scenes.scene_meshes import shape_triangles
 from gibson_sim.scenes.spec import CollisionSpec, LightSpec, SceneSpec, StartPose
-from gibson_sim.scenes.textures import IMAGE_SUFFIXES
-from gibson_sim.scenes.uris import environment_folders, is_registered
 from gibson_sim.types import Rgba, Vec3
 
 F64 = NDArray[np.float64]
@@ -186,11 +187,11 @@ class SceneBuilder:
         matrix: F64,
         color: Rgba | None = None,
         semantic_class: str = "",
-        look: Look | None = None,
+        appearance: Appearance | None = None,
     ) -> None:
         """Adds something that is drawn, at T_world_shape."""
         pose = pose_from_matrix(matrix)
-        self.visuals.append(VisualSpec(_unique(name, self._visual_names), "", shape, pose, color, semantic_class, look))
+        self.visuals.append(VisualSpec(_unique(name, self._visual_names), "", shape, pose, color, semantic_class, appearance))
 
     def environment_file(self, path: Path, where: str) -> str:
         """Returns the absolute path of an image of the surroundings, which becomes part of the digest.

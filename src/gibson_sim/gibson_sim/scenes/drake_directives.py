@@ -10,15 +10,15 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from gibson_sim.description.omissions import OmissionKind
 from gibson_sim.errors import MeshError, SceneError, TextError
+from gibson_sim.formats.load_mesh import MESH_SUFFIXES
+from gibson_sim.formats.uris import UriResolver
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import YAML_LOADER, parse_yaml
-from gibson_sim.robots.omissions import OmissionKind
 from gibson_sim.scenes.builder import SceneBuilder, class_from_model
-from gibson_sim.scenes.mesh import MESH_SUFFIXES
-from gibson_sim.scenes.sdf_model import Element, SdfModels
-from gibson_sim.scenes.uris import UriResolver
+from gibson_sim.scenes.sdf.model import Element, SdfModels
 
 F64 = NDArray[np.float64]
 

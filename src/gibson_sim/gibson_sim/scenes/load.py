@@ -12,17 +12,17 @@ from pathlib import Path
 import numpy as np
 
 from gibson_sim.errors import SceneError, SceneNotFoundError
+from gibson_sim.formats.load_mesh import MESH_SUFFIXES
+from gibson_sim.formats.uris import ancestors
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import is_file, is_folder, read_head
 from gibson_sim.resources import find_scene
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.builder import SceneBuilder
 from gibson_sim.scenes.drake_directives import read_drake_directives
-from gibson_sim.scenes.mesh import MESH_SUFFIXES
 from gibson_sim.scenes.scene_yaml import read_scene_yaml
-from gibson_sim.scenes.sdf_world import read_sdf_world
+from gibson_sim.scenes.sdf.world import read_sdf_world
 from gibson_sim.scenes.spec import SceneSpec
-from gibson_sim.scenes.uris import ancestors
 
 _log = logging.getLogger(__name__)
 DESCRIPTION = "scene.yaml"

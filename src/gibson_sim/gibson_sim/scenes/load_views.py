@@ -11,8 +11,8 @@ from typing import Any
 
 from gibson_sim.errors import ConfigError, RobotError
 from gibson_sim.quoting import quoted
-from gibson_sim.robots.load_cameras import camera_entries, load_cameras, read_camera
-from gibson_sim.robots.settings import Settings
+from gibson_sim.robots.loading.cameras import camera_entries, load_cameras, read_camera
+from gibson_sim.robots.loading.settings import Settings
 from gibson_sim.scenes.views import Fixed, Follow, Motion, Orbit, Top, View
 from gibson_sim.settings import nearest
 from gibson_sim.types import WORLD_FRAME, CameraSpec, Pose

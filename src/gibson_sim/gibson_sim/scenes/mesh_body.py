@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from gibson_sim.robots.spec import Shape
-from gibson_sim.robots.urdf import Inertial, UrdfCollision, UrdfLink, UrdfModel, UrdfVisual
-from gibson_sim.scenes.mesh import MeshLoader
+from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf import Inertial, UrdfCollision, UrdfLink, UrdfModel, UrdfVisual
+from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.types import Pose
 
 F64 = NDArray[np.float64]

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.robots import load
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.scenes.mesh import MeshLoader
 from gibson_sim.types import Pose
 
 _MAX_BYTES = 64_000_000

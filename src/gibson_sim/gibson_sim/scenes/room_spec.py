@@ -1,4 +1,4 @@
-"""Rooms that a scene names: what they are called, what they are for, where they lie. Pure values; ``scenes.rooms`` finds rooms in a map."""
+"""Rooms that a scene names: what they are called, what they are for, where they lie. Pure values; ``maps.rooms`` finds rooms in a map."""
 
 from __future__ import annotations
 

@@ -3,23 +3,176 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.rigid_groups import MOVING_TYPES
+from gibson_sim.description.scaling import scaled_model
+from gibson_sim.description.shapes import Appearance, Shape
+from gibson_sim.description.urdf import UrdfJoint, UrdfModel
 from gibson_sim.errors import MeshError, SceneError, TextError
+from gibson_sim.formats.mesh import UpAxis
+from gibson_sim.formats.yaml_map import YamlMap
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
 from gibson_sim.quoting import quoted
 from gibson_sim.reading import parse_yaml
-from gibson_sim.robots.spec import Look, Shape
 from gibson_sim.scenes.builder import FAR_AWAY, SceneBuilder
-from gibson_sim.scenes.mesh_types import UpAxis
-from gibson_sim.scenes.scene_bodies import read_bodies, read_pose
-from gibson_sim.scenes.scene_rooms import read_rooms
+from gibson_sim.scenes.room_spec import RoomSpec
+from gibson_sim.scenes.spawning import load_spawnable
 from gibson_sim.scenes.spec import LightSpec, PointLight, StartPose
-from gibson_sim.scenes.yaml_map import YamlMap
-from gibson_sim.types import Rgba, Vec3
+from gibson_sim.types import Pose, Rgba, Vec3
+
+_ROOM_KEYS = ("name", "class", "floor", "polygon")
+
+
+def read_rooms(builder: SceneBuilder, path: Path, items: list[Any]) -> None:
+    """Puts the rooms of a scene.yaml at ``path`` into the builder, which knows its floors already.
+
+    Raises:
+        SceneError: a key or a value is wrong.
+    """
+    floors = len({builder.floor_z, *builder.floors}) if builder.floors else 1
+    names: set[str] = set()
+    for index, content in enumerate(items):
+        item = YamlMap(content, f"{path}: rooms[{index}]", _ROOM_KEYS)
+        room = _room(item, floors)
+        if room.name in names:
+            raise SceneError(f"{item.where}: name {quoted(room.name)} is used twice; names of rooms must differ")
+        names.add(room.name)
+        builder.rooms.append(room)
+
+
+def _room(item: YamlMap, floors: int) -> RoomSpec:
+    name, room_class = (item.text(key, "").strip() for key in ("name", "class"))
+    for key, text in (("name", name), ("class", room_class)):
+        if not text:
+            raise SceneError(f"{item.where}: has no {key}; give one, such as kitchen")
+    floor = item.value("floor", 0)
+    if not isinstance(floor, int) or isinstance(floor, bool) or not 0 <= floor < floors:
+        known = "0, the scene has one floor" if floors == 1 else f"a whole number from 0 to {floors - 1}, as floors has it"
+        raise SceneError(f"{item.where}: floor is {quoted(floor)}, must be {known}")
+    corners = [
+        YamlMap({"corner": corner}, f"{item.where}: polygon[{k}]", ("corner",)).floats("corner", 2, -FAR_AWAY, FAR_AWAY)
+        for k, corner in enumerate(item.items("polygon"))
+    ]
+    try:
+        return RoomSpec(name, room_class, floor, tuple((x, y) for x, y in corners))
+    except SceneError as error:
+        raise SceneError(f"{item.where}: {error}") from error
+
+
+_BODY_KEYS = ("name", "model", "pose", "joints", "static", "scale", "semantic_class")
+_NAME_RULE = "use letters, digits and _, a letter first"
+_SCALES = (0.01, 100.0)
+
+
+def read_bodies(builder: SceneBuilder, path: Path, items: list[Any]) -> None:
+    """Puts the bodies of a scene.yaml at ``path`` into the builder.
+
+    Raises:
+        SceneError: a key or a value is wrong, or a model cannot be used.
+    """
+    models: dict[str, BodySpec] = {}
+    for index, content in enumerate(items):
+        item = YamlMap(content, f"{path}: bodies[{index}]", _BODY_KEYS)
+        model = item.text("model", "").strip()
+        if not model:
+            raise SceneError(
+                f"{item.where}: has no model; give the name of an object, or a URDF, SDF or mesh in the scene's folder"
+            )
+        name = item.text("name", "") or _free_name(Path(model).stem, builder)
+        _check_name(name, builder, item.where)
+        item.where = f"{path}: body {quoted(name)}"
+        if model not in models:
+            models[model] = _read_model(builder, path, model, item.where)
+        _add(builder, item, replace(models[model], name=name))
+
+
+def read_pose(item: YamlMap) -> Pose:
+    """Returns the pose that stands under ``pose``: ``xyz`` in metres, ``rpy_deg`` about fixed axes; the origin where there is none."""
+    pose = YamlMap(item.value("pose", {}) or {}, f"{item.where}: pose", ("xyz", "rpy_deg"))
+    xyz = pose.vec3("xyz", (0.0, 0.0, 0.0), low=-FAR_AWAY, high=FAR_AWAY)
+    roll, pitch, yaw = (math.radians(angle) for angle in pose.vec3("rpy_deg", (0.0, 0.0, 0.0)))
+    return pose_from_xyz_rpy(xyz, (roll, pitch, yaw))
+
+
+def _add(builder: SceneBuilder, item: YamlMap, body: BodySpec) -> None:
+    model = scaled_model(body.model, item.number("scale", 1.0, *_SCALES))
+    placed = replace(
+        body,
+        model=model,
+        start=read_pose(item),
+        static=item.flag("static", False) or body.static,
+        semantic_class=item.text("semantic_class", body.semantic_class),
+        joints=_joints(item, model),
+    )
+    try:
+        builder.add_body(placed, model.path)
+    except MeshError as e:
+        raise SceneError(f"{item.where}: {e}") from e
+
+
+def _read_model(builder: SceneBuilder, path: Path, model: str, where: str) -> BodySpec:
+    """Returns the body that a model describes, at the origin."""
+    is_file = "/" in model or "." in model
+    if "://" in model or model.startswith(("/", "~")):
+        raise SceneError(f"{where}: model is {quoted(model)}; give the name of an object, or a path below the scene's folder")
+    uri = str((path.parent / model).absolute()) if is_file else model
+    try:
+        spec = load_spawnable(uri, "", name="body", pose=Pose(), roots=builder.roots or ())
+    except SceneError as e:
+        raise SceneError(f"{where}: {e}") from e
+    if not isinstance(spec, BodySpec):
+        raise SceneError(
+            f"{where}: model {quoted(model)} is a robot; robots are not part of a scene: give it as --robot, or spawn it"
+        )
+    return spec
+
+
+def _joints(item: YamlMap, model: UrdfModel) -> tuple[tuple[str, float], ...]:
+    """Returns where joints start, radians or metres, in the order of the model."""
+    moving = {joint.name: joint for joint in model.joints if joint.kind in MOVING_TYPES}
+    given = item.value("joints", {}) or {}
+    if given and not moving:
+        raise SceneError(f"{item.where}: joints are given, but {model.path.name} has none that moves; leave them out")
+    joints = YamlMap(given, f"{item.where}: joints", tuple(moving))
+    return tuple((name, _position(joints, joint)) for name, joint in moving.items() if joints.has(name))
+
+
+def _position(joints: YamlMap, joint: UrdfJoint) -> float:
+    """Returns where a joint starts; the file gives degrees, or metres for what slides."""
+    limited = joint.kind != "continuous" and joint.lower <= joint.upper
+    low, high = (joint.lower, joint.upper) if limited else (-math.inf, math.inf)
+    if joint.kind == "prismatic":
+        return joints.number(joint.name, 0.0, low, high)
+    if limited:
+        # Limits are often round degrees, which no radian is exactly: they are rounded outwards to a thousandth.
+        lowest, highest = math.floor(math.degrees(low) * 1000) / 1000, math.ceil(math.degrees(high) * 1000) / 1000
+        return min(max(math.radians(joints.number(joint.name, 0.0, lowest, highest)), low), high)
+    return math.radians(joints.number(joint.name, 0.0))
+
+
+def _check_name(name: str, builder: SceneBuilder, where: str) -> None:
+    if not (name.isascii() and name[:1].isalpha() and name.replace("_", "a").isalnum()):
+        raise SceneError(f"{where}: name is {quoted(name)}; it becomes part of frames in ROS: {_NAME_RULE}")
+    if any(name == body.name for body in builder.bodies):
+        raise SceneError(f"{where}: name {quoted(name)} is used twice; names of bodies must differ")
+
+
+def _free_name(base: str, builder: SceneBuilder) -> str:
+    """Returns the name of a body that was given none: that of its model, with _2, _3, ... if there are several."""
+    taken = {body.name for body in builder.bodies}
+    name, number = base, 1
+    while name in taken:
+        number += 1
+        name = f"{base}_{number}"
+    return name
+
 
 F64 = NDArray[np.float64]
 _SCENE_KEYS = ("name", "description", "gravity", "ground_z", "floor_z", "floors", "rooms", "light", "starts", "objects", "bodies")
@@ -139,7 +292,7 @@ def _object(builder: SceneBuilder, path: Path, item: YamlMap) -> None:
         shape, at = _primitive(item, given[0]), matrix
     collision = item.text("collision", "same")
     if item.flag("visible", True):
-        builder.add_visual(name, shape, at, _color(item), item.text("semantic_class", ""), _look(item))
+        builder.add_visual(name, shape, at, _color(item), item.text("semantic_class", ""), _appearance(item))
     elif collision == "none":
         raise SceneError(f"{item.where}: visible is false and collision none: nothing of it is left; leave it out")
     if collision == "same":
@@ -178,11 +331,11 @@ def _primitive(item: YamlMap, kind: str) -> Shape:
     return Shape("cylinder", (sizes.number("radius", 0.0, low=1e-6), sizes.number("length", 0.0, low=1e-6), 0.0))
 
 
-def _look(item: YamlMap) -> Look | None:
+def _appearance(item: YamlMap) -> Appearance | None:
     if not (item.has("metallic") or item.has("roughness")):
         return None
     metallic, roughness = (item.number(k, 0.0, 0.0, 1.0) if item.has(k) else None for k in ("metallic", "roughness"))
-    return Look(metallic=metallic, roughness=roughness)
+    return Appearance(metallic=metallic, roughness=roughness)
 
 
 def _color(item: YamlMap) -> Rgba | None:

@@ -11,9 +11,9 @@ from pathlib import Path
 from urllib.parse import unquote
 
 from gibson_sim.errors import SceneError, SceneNotFoundError
+from gibson_sim.formats.file_roots import is_inside
+from gibson_sim.formats.uris import environment_folders, installed_paths
 from gibson_sim.reading import exists, read_head
-from gibson_sim.scenes.file_roots import is_inside
-from gibson_sim.scenes.uris import environment_folders, installed_paths
 
 MAX_BYTES = 512 * 1024 * 1024
 """Of a mesh."""

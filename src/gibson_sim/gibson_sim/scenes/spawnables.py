@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gibson_sim.errors import RobotError, SceneNotFoundError, TextError
+from gibson_sim.formats.load_mesh import MESH_SUFFIXES
 from gibson_sim.quoting import clipped, quoted
 from gibson_sim.reading import exists, is_file, is_folder, parse_xml, read_head
 from gibson_sim.resources import list_robots, share_folders
 from gibson_sim.robots.load import ROBOT_FILE, load_robot
-from gibson_sim.scenes.mesh import MESH_SUFFIXES
 from gibson_sim.scenes.sources import Search, path_of, walk
 from gibson_sim.types import Vec3
 

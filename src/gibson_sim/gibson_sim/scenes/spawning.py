@@ -6,32 +6,110 @@ an error that names it. Knows neither ROS nor a physics engine.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from enum import Enum, auto
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
+
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.mesh_files import resolve_mesh
+from gibson_sim.description.omissions import Omission, OmissionKind, kind_of
+from gibson_sim.description.rigid_groups import MOVING_TYPES, rigid_groups
+from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf import Inertial, UrdfJoint, UrdfModel, parse_urdf, read_urdf
+from gibson_sim.description.xacro import is_xacro
 from gibson_sim.errors import GibsonSimError, MeshError, RobotError, SceneError, SceneNotFoundError, TextError
+from gibson_sim.formats.file_roots import description_roots
+from gibson_sim.formats.load_mesh import MESH_SUFFIXES, MeshLoader
+from gibson_sim.formats.uris import UriResolver, ancestors
+from gibson_sim.quoting import quoted
 from gibson_sim.reading import MAX_TEXT_BYTES, exists, is_file, is_folder, parse_xml, read_file
-from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.load import ROBOT_FILE, load_robot
-from gibson_sim.robots.mesh_files import resolve_mesh
-from gibson_sim.robots.omissions import Omission, OmissionKind, kind_of
-from gibson_sim.robots.rigid import rigid_groups
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.robots.urdf import UrdfModel, parse_urdf, read_urdf
-from gibson_sim.robots.xacro import is_xacro
-from gibson_sim.scenes.builder import SceneBuilder, class_from_model
-from gibson_sim.scenes.file_roots import description_roots
-from gibson_sim.scenes.mesh import MESH_SUFFIXES, MeshLoader
+from gibson_sim.scenes.builder import FAR_AWAY, SceneBuilder, class_from_model
 from gibson_sim.scenes.mesh_body import mesh_body
-from gibson_sim.scenes.plausible import check_plausible
-from gibson_sim.scenes.sdf_body import MAX_LINKS, WORLD, SdfBodyReader
-from gibson_sim.scenes.sdf_model import SdfModels, sdf_files, sdf_version
+from gibson_sim.scenes.sdf.body import MAX_LINKS, WORLD, SdfBodyReader
+from gibson_sim.scenes.sdf.model import SdfModels, sdf_files, sdf_version
 from gibson_sim.scenes.sources import MAX_BYTES, NOWHERE, check_file, check_inside, path_of, said
 from gibson_sim.scenes.spawnables import Spawnable, find_spawnables, own_spawnables
-from gibson_sim.scenes.uris import UriResolver, ancestors
 from gibson_sim.types import Pose
+
+MAX_MASS = 1e6
+"""kg."""
+MAX_INERTIA = 1e9
+"""kg m^2."""
+
+
+def check_plausible(model: UrdfModel, loader: MeshLoader) -> None:
+    """Checks every number of a model.
+
+    Args:
+        model: what somebody wants to load.
+        loader: knows how large its meshes are; one that it cannot read is for others to report.
+
+    Raises:
+        SceneError: naming the link or joint, the value and what is allowed.
+    """
+    if len(model.links) > MAX_LINKS:
+        raise SceneError(f"{model.path}: has {len(model.links)} links, must be at most {MAX_LINKS}; split it")
+    for link in model.links:
+        where = f"{model.path}: link {quoted(link.name)}"
+        shapes = [(v.shape, v.pose) for v in link.visuals] + [(c.shape, c.pose) for c in link.collisions]
+        for shape, pose in shapes:
+            _check_place(where, pose)
+            _check_shape(where, shape, loader)
+        if link.inertial is not None:
+            _check_inertial(where, link.inertial)
+        if link.friction is not None and not 0.0 <= link.friction < math.inf:
+            raise SceneError(f"{where}: friction is {link.friction:g}, must be a finite number, 0 or more")
+    for joint in model.joints:
+        _check_joint(f"{model.path}: joint {quoted(joint.name)}", joint)
+
+
+def _check_inertial(where: str, inertial: Inertial) -> None:
+    if not 0.0 <= inertial.mass <= MAX_MASS:
+        raise SceneError(f"{where}: mass is {inertial.mass:g} kg, must be 0 to {MAX_MASS:g}; is it in grams?")
+    for name, value in zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), inertial.inertia, strict=True):
+        low = 0.0 if name in ("ixx", "iyy", "izz") else -MAX_INERTIA
+        if not low <= value <= MAX_INERTIA:
+            raise SceneError(f"{where}: {name} is {value:g} kg m^2, must be {low:g} to {MAX_INERTIA:g}")
+    _check_place(where, inertial.pose)
+
+
+def _check_place(where: str, pose: Pose) -> None:
+    if not all(abs(c) <= FAR_AWAY for c in pose.position):
+        at = ", ".join(f"{c:g}" for c in pose.position)
+        raise SceneError(f"{where}: something in it is at ({at}) m, must be within {FAR_AWAY:g} m")
+
+
+def _check_shape(where: str, shape: Shape, loader: MeshLoader) -> None:
+    size, what = shape.size, str(shape.kind)
+    if shape.kind == "mesh":
+        if not all(map(math.isfinite, size)) or not all(size):
+            raise SceneError(f"{where}: scale of a mesh is {size}, the three factors must be finite and not 0")
+        try:
+            bounds = loader.mesh(Path(shape.mesh)).bounds
+        except MeshError:
+            return
+        x, y, z = (np.abs(bounds).max(axis=0) * np.abs(size)).tolist()
+        size, what = (x, y, z), f"mesh {shape.mesh}"
+    if not all(0.0 <= s <= FAR_AWAY for s in size):
+        raise SceneError(f"{where}: {what} is {max(size):g} m large, must be at most {FAR_AWAY:g} m; is the unit right?")
+
+
+def _check_joint(where: str, joint: UrdfJoint) -> None:
+    if joint.kind not in (*MOVING_TYPES, "fixed"):
+        raise SceneError(f"{where}: type {joint.kind} is not simulated; use {', '.join(MOVING_TYPES)} or fixed")
+    _check_place(where, joint.pose)
+    for name in ("lower", "upper", "effort", "velocity", "damping", "friction"):
+        value = getattr(joint, name)
+        slows = name in ("damping", "friction")
+        if not math.isfinite(value) or (slows and value < 0.0):
+            raise SceneError(f"{where}: {name} is {value:g}, must be a finite number{', 0 or more' if slows else ''}")
+
 
 __all__ = [
     "SPAWN_FORMATS", "SpawnError", "SpawnFailure", "Spawnable", "find_spawnables", "load_spawnable", "own_spawnables", "spawn_name",

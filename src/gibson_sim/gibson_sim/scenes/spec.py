@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from gibson_sim.robots.body import BodySpec
-from gibson_sim.robots.spec import RobotSpec, Shape, VisualSpec
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.shapes import Shape, VisualSpec
+from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes.room_spec import RoomSpec, room_at
 from gibson_sim.types import CameraSpec, Pose, Vec3
 

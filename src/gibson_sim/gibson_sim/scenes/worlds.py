@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from pathlib import Path
 
+from gibson_sim.description.omissions import OmissionKind
 from gibson_sim.errors import MeshError, SceneError, SceneNotFoundError, TextError
+from gibson_sim.formats.load_mesh import MESH_SUFFIXES
 from gibson_sim.quoting import clipped, quoted
 from gibson_sim.reading import MAX_TEXT_BYTES, exists, is_file, parse_xml, yaml_texts
 from gibson_sim.resources import find_scene, known_scenes
-from gibson_sim.robots.omissions import OmissionKind
 from gibson_sim.scenes.builder import SceneBuilder
 from gibson_sim.scenes.load import DESCRIPTION, description_file, finish, is_sdf_world, read_scene, reader_and_root
-from gibson_sim.scenes.mesh import MESH_SUFFIXES
-from gibson_sim.scenes.sdf_world import place_world
+from gibson_sim.scenes.sdf.world import place_world
 from gibson_sim.scenes.sources import MAX_BYTES, NOWHERE, Search, check_file, path_of, said, walk
 from gibson_sim.scenes.spec import SceneSpec
 

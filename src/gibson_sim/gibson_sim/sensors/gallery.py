@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gibson_sim.description.shapes import Appearance, Shape, VisualSpec
 from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pose_from_xyz_rpy, quat_from_matrix
 from gibson_sim.render.renderer import Renderer
-from gibson_sim.robots.spec import Look, Shape, VisualSpec
 from gibson_sim.scenes.randomise import Rules, randomise
 from gibson_sim.scenes.spec import DrawnScene, LightSpec, PointLight
 from gibson_sim.sensors.depth_noise import apply_depth_noise
@@ -153,10 +153,15 @@ def _studio(scene: DrawnScene) -> tuple[DrawnScene, CameraSpec]:
     for row, (metallic, color) in enumerate(((1.0, (1.0, 0.78, 0.34, 1.0)), (0.0, (0.72, 0.1, 0.09, 1.0)))):
         for column in range(columns):
             position = (row * 0.55, (column - (columns - 1) / 2) * -spacing, 0.22)
-            look = Look(metallic=metallic, roughness=0.12 + 0.8 * column / (columns - 1))
+            look = Appearance(metallic=metallic, roughness=0.12 + 0.8 * column / (columns - 1))
             visuals.append(
                 VisualSpec(
-                    f"ball {row} {column}", "", Shape("sphere", (0.22, 0.0, 0.0)), pose_from_xyz_rpy(position), color, look=look
+                    f"ball {row} {column}",
+                    "",
+                    Shape("sphere", (0.22, 0.0, 0.0)),
+                    pose_from_xyz_rpy(position),
+                    color,
+                    appearance=look,
                 )
             )
     light = LightSpec(

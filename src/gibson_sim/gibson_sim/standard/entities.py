@@ -7,8 +7,8 @@ from collections.abc import Container
 from dataclasses import dataclass, field
 from enum import IntEnum
 
+from gibson_sim.description.body import BodySpec
 from gibson_sim.quoting import quoted
-from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.standard.codes import Result, SimulationError, SpawnCode
 

@@ -6,8 +6,8 @@ import math
 from typing import cast
 
 from gibson_sim.config import PhysicsConfig
-from gibson_sim.robots.grasping import GraspMode, GraspSettings
-from gibson_sim.robots.servo import ServoSettings
+from gibson_sim.robots.joints.grasping import GraspMode, GraspSettings
+from gibson_sim.robots.joints.servo import ServoSettings
 
 
 def grasp_settings(config: PhysicsConfig) -> GraspSettings:

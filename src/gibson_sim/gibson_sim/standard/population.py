@@ -8,21 +8,15 @@ from enum import IntEnum
 
 import numpy as np
 
+from gibson_sim.description.body import BodySpec
 from gibson_sim.errors import GibsonSimError, StartError
-from gibson_sim.geometry.transforms import (
-    Mat4,
-    invert,
-    matrix_from_pose,
-    matrix_from_quat,
-    pose_from_matrix,
-)
+from gibson_sim.geometry.transforms import Mat4, invert, matrix_from_pose, matrix_from_quat, pose_from_matrix
+from gibson_sim.maps.placement import in_namespace
 from gibson_sim.physics.body import read_meshes
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.quoting import quoted
-from gibson_sim.robots.body import BodySpec
 from gibson_sim.robots.spec import RobotSpec
 from gibson_sim.scenes import spawning
-from gibson_sim.scenes.placement import in_namespace
 from gibson_sim.standard.bounds import Bounds, box_bounds
 from gibson_sim.standard.codes import EntityStateCode, Result, SimulationError, SpawnCode, told
 from gibson_sim.standard.entities import Entity, EntityInfo, check_info, check_namespace, choose_name, first_info

@@ -21,21 +21,14 @@ from pathlib import Path
 
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import GibsonSimError
+from gibson_sim.maps.named_poses import NamedPose, named_poses
 from gibson_sim.physics.world import PhysicsWorld
 from gibson_sim.quoting import quoted
 from gibson_sim.scenes import worlds
-from gibson_sim.scenes.named_poses import NamedPose, named_poses
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.standard.bounds import Bounds, box_bounds
 from gibson_sim.standard.catalogue import description_of
-from gibson_sim.standard.codes import (
-    LoadWorldCode,
-    Result,
-    SimulationError,
-    StateCode,
-    WorldCode,
-    told,
-)
+from gibson_sim.standard.codes import LoadWorldCode, Result, SimulationError, StateCode, WorldCode, told
 from gibson_sim.standard.filters import TagsFilter
 from gibson_sim.standard.manipulation import grasp_settings, servo_settings
 from gibson_sim.standard.population import Population

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gibson_sim.description.urdf import read_urdf
 from gibson_sim.errors import CommandError, ConfigError
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.robots.urdf import read_urdf
 from gibson_sim.tasks.episode import Action, View
 from gibson_sim.tasks.observing import Layout
 

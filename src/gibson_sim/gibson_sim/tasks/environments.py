@@ -55,7 +55,7 @@ class TaskEnvironment(gymnasium.Env[Observation, NDArray[np.float32]]):
         RobotError: there is no such robot.
     """
 
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}  # noqa: RUF012 as Gymnasium has it
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}  # noqa: RUF012
 
     def __init__(
         self,

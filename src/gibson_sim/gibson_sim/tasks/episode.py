@@ -9,8 +9,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from gibson_sim.description.body import BodySpec
 from gibson_sim.geometry.transforms import matrix_from_quat, yaw_from_quat
-from gibson_sim.robots.body import BodySpec
 from gibson_sim.scenes.spawning import load_spawnable
 from gibson_sim.types import NS_PER_S, Pose, SceneState, Vec3
 

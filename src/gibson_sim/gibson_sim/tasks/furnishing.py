@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
+from gibson_sim.geometry.rasterise import Grid
 from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy, yaw_from_quat
-from gibson_sim.scenes.floor_map import FloorMap
-from gibson_sim.scenes.maps.bodies import body_triangles
-from gibson_sim.scenes.maps.poses import random_free_poses
-from gibson_sim.scenes.rasterise import Grid
+from gibson_sim.maps.bodies import body_triangles
+from gibson_sim.maps.floor_map import FloorMap
+from gibson_sim.maps.free_poses import random_free_poses
 from gibson_sim.scenes.spec import SceneSpec
-from gibson_sim.tasks.driving import pose_xy
 from gibson_sim.tasks.episode import Item, View, item_body, item_root
 from gibson_sim.tasks.ground import Ground
 from gibson_sim.tasks.placing import TRIES, free_place, on_floor
+from gibson_sim.tasks.scripts.driving import pose_xy
 from gibson_sim.types import Pose, Vec3
 
 F64 = NDArray[np.float64]

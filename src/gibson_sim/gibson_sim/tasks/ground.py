@@ -12,16 +12,16 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from gibson_sim.errors import ConfigError, SceneError
+from gibson_sim.geometry.rasterise import Grid
 from gibson_sim.geometry.transforms import matrix_from_quat, yaw_from_quat
+from gibson_sim.maps.bodies import body_triangles
+from gibson_sim.maps.floor_map import FloorMap
+from gibson_sim.maps.paths import PathPlanner
+from gibson_sim.maps.placement import robot_floor_map
+from gibson_sim.maps.rooms import Door, find_rooms
 from gibson_sim.robots.spec import RobotSpec
-from gibson_sim.scenes.floor_map import FloorMap
 from gibson_sim.scenes.load import load_scene
-from gibson_sim.scenes.maps.bodies import body_triangles
-from gibson_sim.scenes.maps.paths import PathPlanner
-from gibson_sim.scenes.placement import robot_floor_map
-from gibson_sim.scenes.rasterise import Grid
 from gibson_sim.scenes.robot_files import load_robot
-from gibson_sim.scenes.rooms import Door, find_rooms
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.tasks.episode import Item, item_body
 from gibson_sim.types import Pose

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gibson_sim.errors import SceneError
 from gibson_sim.geometry.transforms import pose_from_xyz_rpy
-from gibson_sim.scenes.maps.poses import random_free_poses
+from gibson_sim.maps.free_poses import random_free_poses
 from gibson_sim.tasks.episode import Item
 from gibson_sim.tasks.ground import Ground
 from gibson_sim.types import Pose

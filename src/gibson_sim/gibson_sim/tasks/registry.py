@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from gibson_sim.errors import ConfigError
-from gibson_sim.tasks.object_search import ObjectSearch
-from gibson_sim.tasks.open_cabinet import OpenCabinet
-from gibson_sim.tasks.open_door import OpenDoor
-from gibson_sim.tasks.pick_and_place import PickAndPlace
-from gibson_sim.tasks.point_goal import PointGoal
-from gibson_sim.tasks.push_through import PushThrough
+from gibson_sim.tasks.kinds.object_search import ObjectSearch
+from gibson_sim.tasks.kinds.open_cabinet import OpenCabinet
+from gibson_sim.tasks.kinds.open_door import OpenDoor
+from gibson_sim.tasks.kinds.pick_and_place import PickAndPlace
+from gibson_sim.tasks.kinds.point_goal import PointGoal
+from gibson_sim.tasks.kinds.push_through import PushThrough
 from gibson_sim.tasks.task import Task
 
 TASKS: dict[str, Task] = {

@@ -8,7 +8,7 @@ from types import TracebackType
 
 from gibson_sim.errors import ConfigError
 from gibson_sim.physics.world import PhysicsWorld
-from gibson_sim.robots.joint_commands import JointPositions
+from gibson_sim.robots.joints.commands import JointPositions
 from gibson_sim.tasks.controls import finger_joints
 from gibson_sim.tasks.episode import Action, Episode, View, item_body, view_of
 from gibson_sim.tasks.ground import Ground, ground_of

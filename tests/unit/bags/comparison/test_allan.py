@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from gibson_sim.bags.comparison.allan import allan_curve, noise_model, overlapping_allan
+from gibson_sim.bags.comparison.imu_noise import allan_curve, noise_model, overlapping_allan
 
 RATE_HZ = 100.0
 

@@ -10,8 +10,8 @@ import pytest
 from gibson_sim.bags.comparison.drift import drift, fit_alphas, slip_variance
 from gibson_sim.bags.comparison.recording import Track
 from gibson_sim.robots.drives.base import DeadReckoning
+from gibson_sim.robots.drives.wheel_odometry import OdometryNoise
 from gibson_sim.robots.sensor_specs import WheelOdometrySpec
-from gibson_sim.robots.wheel_noise import OdometryNoise
 
 
 def integrated(t: np.ndarray, forward: np.ndarray, turn: np.ndarray) -> Track:

@@ -7,9 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gibson_sim.bags.comparison.drive_model import counted_velocities, limited_velocities, wanted_velocities, with_limits
 from gibson_sim.bags.comparison.encoder import common_step, fit_ticks
-from gibson_sim.bags.comparison.identify import DriveFit, fit_drive
+from gibson_sim.bags.comparison.identify import (
+    DriveFit,
+    counted_velocities,
+    fit_drive,
+    limited_velocities,
+    wanted_velocities,
+    with_limits,
+)
 from gibson_sim.bags.comparison.parameters import CERTAINTY
 from gibson_sim.bags.comparison.recording import Commands, Track
 from gibson_sim.robots.drive_spec import DifferentialSpec

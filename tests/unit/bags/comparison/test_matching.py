@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from gibson_sim.bags.comparison.matching import from_start, matches
+from gibson_sim.bags.comparison.compare import from_start, matches
 
 
 def test_nearest_poses_match_once() -> None:

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from gibson_sim.bags.comparison.drive_model import counted_velocities, wheel_rows, with_limits
-from gibson_sim.bags.comparison.identify import DriveFit, Estimate
+from gibson_sim.bags.comparison.identify import DriveFit, Estimate, counted_velocities, wheel_rows, with_limits
 from gibson_sim.bags.comparison.recording import F64, Track
 from gibson_sim.bags.comparison.signals import inside, speeds, stretches
 from gibson_sim.robots.drive_spec import AckermannSpec, DriveSpec

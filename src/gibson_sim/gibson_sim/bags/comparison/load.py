@@ -28,8 +28,8 @@ from gibson_sim.bags.comparison.timing import SAME_CLOCK_S
 from gibson_sim.bags.reader import BagReader, TopicInfo, image_to_array
 from gibson_sim.bags.stamps import header_stamp_ns, stamp_ns
 from gibson_sim.errors import RecordError
+from gibson_sim.formats.textures import decode_pixels
 from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, yaw_from_quat
-from gibson_sim.scenes.textures import decode_pixels
 from gibson_sim.types import Pose
 
 MOST_PICTURES = 200

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from gibson_sim.bags.reader import BagReader, image_to_array
 from gibson_sim.bags.stamps import header_stamp_ns, stamp_ns
 from gibson_sim.errors import RecordError
+from gibson_sim.formats.textures import decode_pixels
 from gibson_sim.quoting import quoted
-from gibson_sim.scenes.textures import decode_pixels
 
 IMAGE, COMPRESSED, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"
 Kind = Literal["color", "depth", "labels", "vectors"]

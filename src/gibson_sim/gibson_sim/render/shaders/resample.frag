@@ -1,4 +1,4 @@
-// Fills the image of a non-pinhole camera from its views: for each pixel a table says where to look. Colours are mixed, in linear light; what
+// Fills the image of a non-pinhole camera from its views: for each pixel a table says where to appearance. Colours are mixed, in linear light; what
 // else there is comes from the nearest texel.
 uniform ivec2 u_origin;      // left column and top row of the image in the target
 uniform sampler2D u_map;     // for each pixel: place in the source, texels; depth along the view's axis of what is at depth 1; tile

@@ -3,7 +3,7 @@ in vec2 v_uv;
 #ifdef COLORED
 in vec3 v_color;  // linear
 #endif
-#ifdef LOOKED
+#ifdef APPEARANCE
 flat in uint v_material;
 #endif
 #ifdef SURFACE
@@ -46,7 +46,7 @@ in vec3 v_before;
 layout(location = 3) out vec2 out_flow;
 #endif
 
-#ifdef LOOKED
+#ifdef APPEARANCE
 in vec3 v_local;
 #endif
 
@@ -66,8 +66,8 @@ void main() {
 #ifdef CUT
     if ((color.a < material.surface.z) != u_translucent) discard;
 #endif
-#ifdef LOOKED
-    color.rgb = dressed(color.rgb, looks[v_material], v_local);
+#ifdef APPEARANCE
+    color.rgb = with_appearance(color.rgb, appearances[v_material], v_local);
 #endif
 #ifdef TURNED
     // Scans are open and their triangles may be turned either way: the side that is seen is the outside. What is seen is decided by

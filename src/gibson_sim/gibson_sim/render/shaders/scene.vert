@@ -32,11 +32,11 @@ out vec3 v_normal;  // world frame
 #ifdef FLOW
 out vec3 v_before;  // clip coordinates x, y, w of the state before
 #endif
-#ifdef LOOKED
+#ifdef APPEARANCE
 out vec3 v_local;  // frame of the link, metres
 #endif
 out vec2 v_uv;
-#ifdef LOOKED
+#ifdef APPEARANCE
 flat out uint v_material;
 #endif
 #ifdef MATERIALS
@@ -74,19 +74,19 @@ void main() {
 #endif
     v_before = (clip_from_world_before * vec4(before, 1.0)).xyw;
 #endif
-#ifdef LOOKED
+#ifdef APPEARANCE
     v_local = in_position;
 #endif
     v_uv = in_uv;
 #ifdef COLORED
     v_color = in_color.rgb;
 #endif
-#if defined(LOOKED) || defined(MATERIALS)
+#if defined(APPEARANCE) || defined(MATERIALS)
     uint number = in_material;
 #ifdef MOVING
     number += in_placed_material;
 #endif
-#ifdef LOOKED
+#ifdef APPEARANCE
     v_material = number;
 #endif
 #ifdef MATERIALS

@@ -1,4 +1,4 @@
-// One triangle over all of the picture, as far away as can be, with the way that each pixel looks.
+// One triangle over all of the picture, as far away as can be, with the way that each pixel appearances.
 out vec3 v_direction;  // world frame, any length
 
 void main() {

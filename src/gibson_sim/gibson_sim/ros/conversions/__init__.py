@@ -25,8 +25,6 @@ from gibson_sim.ros.conversions.images import (
     label_info_to_msg,
     label_info_type,
 )
-from gibson_sim.ros.conversions.maps import floor_map_to_msg
-from gibson_sim.ros.conversions.point_cloud import cloud_to_msg
 from gibson_sim.ros.conversions.robot import (
     joint_command_from_msg,
     odometry_pose,
@@ -35,8 +33,14 @@ from gibson_sim.ros.conversions.robot import (
     scan_to_msg,
     velocity_from_msg,
 )
-from gibson_sim.ros.conversions.scene import scene_from_msg, scene_state_from_msg, scene_state_to_msg, scene_to_msg
-from gibson_sim.ros.conversions.sensors import battery_to_msg, bumper_to_msgs, imu_to_msg, lidar_cloud_to_msg
+from gibson_sim.ros.conversions.scene import (
+    floor_map_to_msg,
+    scene_from_msg,
+    scene_state_from_msg,
+    scene_state_to_msg,
+    scene_to_msg,
+)
+from gibson_sim.ros.conversions.sensors import battery_to_msg, bumper_to_msgs, cloud_to_msg, imu_to_msg, lidar_cloud_to_msg
 
 __all__ = [
     "ENCODINGS",

@@ -8,8 +8,8 @@ from geometry_msgs.msg import Point, TwistStamped
 
 from gibson_msgs.msg import CollisionCount as RosCollisionCount, Contact as RosContact, Contacts, GraspState as RosGraspState
 from gibson_sim.robots.collision_count import CollisionCount
-from gibson_sim.robots.grasping import GraspState
-from gibson_sim.robots.servo import ToolTwist
+from gibson_sim.robots.joints.grasping import GraspState
+from gibson_sim.robots.joints.servo import ToolTwist
 from gibson_sim.ros.conversions.basics import header_to_msg, vector_from_msg, vector_to_msg
 from gibson_sim.types import WORLD_FRAME, Contact
 

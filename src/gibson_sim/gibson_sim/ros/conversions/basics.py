@@ -8,11 +8,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Pose as RosPose, TransformStamped, Vector3
 from std_msgs.msg import Header
 
-from gibson_sim.types import (
-    NS_PER_S,
-    Pose,
-    Vec3,
-)
+from gibson_sim.types import NS_PER_S, Pose, Vec3
 
 
 def time_to_msg(stamp_ns: int) -> Time:

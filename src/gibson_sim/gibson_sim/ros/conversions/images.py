@@ -14,15 +14,8 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 
 from gibson_sim.errors import SceneError
 from gibson_sim.quoting import quoted
-from gibson_sim.ros.conversions.basics import (
-    header_to_msg,
-)
-from gibson_sim.types import (
-    DISTORTIONS,
-    CameraSpec,
-    Frame,
-    Output,
-)
+from gibson_sim.ros.conversions.basics import header_to_msg
+from gibson_sim.types import DISTORTIONS, CameraSpec, Frame, Output
 
 ENCODINGS: dict[Output, str] = {
     "rgb": "rgb8",

@@ -13,19 +13,10 @@ from sensor_msgs.msg import JointState, LaserScan
 from trajectory_msgs.msg import JointTrajectory as JointTrajectoryMsg
 
 from gibson_sim.geometry.transforms import quat_from_rpy
-from gibson_sim.robots.joint_commands import JointCommand, JointPositions, JointTrajectory, JointVelocities, TrajectoryPoint
-from gibson_sim.ros.conversions.basics import (
-    header_to_msg,
-    time_from_msg,
-    vector_from_msg,
-)
+from gibson_sim.robots.joints.commands import JointCommand, JointPositions, JointTrajectory, JointVelocities, TrajectoryPoint
+from gibson_sim.ros.conversions.basics import header_to_msg, time_from_msg, vector_from_msg
 from gibson_sim.sensors.lidar import Scan
-from gibson_sim.types import (
-    NS_PER_S,
-    Odometry,
-    Pose,
-    VelocityCommand,
-)
+from gibson_sim.types import NS_PER_S, Odometry, Pose, VelocityCommand
 
 _UNKNOWN = 1e6
 """Variance of what is not measured, m^2, rad^2 and their rates."""

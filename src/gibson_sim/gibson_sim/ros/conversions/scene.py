@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from array import array
+from typing import TYPE_CHECKING
+
+import numpy as np
+from nav_msgs.msg import MapMetaData, OccupancyGrid
+
+from gibson_sim.ros.conversions.basics import header_to_msg, time_to_msg
+
+if TYPE_CHECKING:  # SciPy with it: 0.4 s that a render node, which has no map, would lose whenever it starts
+    from gibson_sim.maps.floor_map import FloorMap
+import math
 from dataclasses import asdict, fields
 from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
 
@@ -22,27 +30,29 @@ from gibson_msgs.msg import (
     SceneState as RosSceneState,
     Visual as RosVisual,
 )
+from gibson_sim.description.shapes import Appearance, Pattern, Shape, ShapeKind, VisualSpec
 from gibson_sim.errors import SceneError
 from gibson_sim.quoting import quoted
-from gibson_sim.robots.spec import Look, Pattern, Shape, ShapeKind, VisualSpec
-from gibson_sim.ros.conversions.basics import (
-    header_to_msg,
-    pose_from_msg,
-    pose_to_msg,
-    time_from_msg,
-    vector_from_msg,
-    vector_to_msg,
-)
+from gibson_sim.ros.conversions.basics import pose_from_msg, pose_to_msg, time_from_msg, vector_from_msg, vector_to_msg
 from gibson_sim.scenes.spec import UNLABELLED, DrawnScene, LightSpec, PointLight
-from gibson_sim.types import (
-    OUTPUTS,
-    WORLD_FRAME,
-    CameraSpec,
-    DepthNoise,
-    ImageEffects,
-    SceneState,
-    Vec3,
-)
+from gibson_sim.types import OUTPUTS, WORLD_FRAME, CameraSpec, DepthNoise, ImageEffects, SceneState, Vec3
+
+_FREE, _OCCUPIED, _UNKNOWN = 0, 100, -1
+
+
+def floor_map_to_msg(floor: FloorMap, floor_z: float, stamp_ns: int, frame_id: str) -> OccupancyGrid:
+    """Returns the map of a floor: 0 = free, 100 = occupied, -1 = neither floor nor obstacle. Rows run along y, from the lowest."""
+    cells = np.full(floor.shape, _UNKNOWN, dtype=np.int8)
+    cells[floor.free] = _FREE
+    cells[floor.occupied] = _OCCUPIED
+    msg = OccupancyGrid(header=header_to_msg(stamp_ns, frame_id))
+    msg.info = MapMetaData(map_load_time=time_to_msg(stamp_ns), resolution=floor.resolution)
+    msg.info.height, msg.info.width = floor.shape
+    msg.info.origin.position.x, msg.info.origin.position.y = floor.origin
+    msg.info.origin.position.z = floor_z
+    msg.data = array("b", cells.tobytes())
+    return msg
+
 
 _SHAPES: dict[ShapeKind, int] = {
     "mesh": RosVisual.SHAPE_MESH,
@@ -106,7 +116,7 @@ def scene_from_msg(msg: RosScene) -> DrawnScene:
                 pose=pose_from_msg(v.pose),
                 color=color,
                 semantic_class="" if semantic_class == UNLABELLED else semantic_class,
-                look=_look_from_msg(v.look[0]) if v.look else None,
+                appearance=_appearance_from_msg(v.look[0]) if v.look else None,
             )
         )
     cameras = tuple(_camera_from_msg(c, link_name(c.link)) for c in msg.cameras)
@@ -172,24 +182,24 @@ def _light_from_msg(msg: RosLight) -> LightSpec:
     )
 
 
-def _look_to_msg(look: Look) -> RosLook:
-    msg = RosLook(hue=look.hue, saturation=look.saturation, value=look.value)
-    msg.metallic = math.nan if look.metallic is None else look.metallic
-    msg.roughness = math.nan if look.roughness is None else look.roughness
-    if look.pattern is not None:
-        first, second = look.pattern.colors
-        msg.pattern, msg.pattern_seed, msg.pattern_colors = look.pattern.kind, look.pattern.seed, (*first, *second)
-        msg.pattern_size, msg.pattern_image = look.pattern.size, look.pattern.image
+def _appearance_to_msg(appearance: Appearance) -> RosLook:
+    msg = RosLook(hue=appearance.hue, saturation=appearance.saturation, value=appearance.value)
+    msg.metallic = math.nan if appearance.metallic is None else appearance.metallic
+    msg.roughness = math.nan if appearance.roughness is None else appearance.roughness
+    if appearance.pattern is not None:
+        first, second = appearance.pattern.colors
+        msg.pattern, msg.pattern_seed, msg.pattern_colors = appearance.pattern.kind, appearance.pattern.seed, (*first, *second)
+        msg.pattern_size, msg.pattern_image = appearance.pattern.size, appearance.pattern.image
     return msg
 
 
-def _look_from_msg(msg: RosLook) -> Look:
+def _appearance_from_msg(msg: RosLook) -> Appearance:
     pattern = None
     if msg.pattern:
         colors = (_triple(msg.pattern_colors[:3]), _triple(msg.pattern_colors[3:]))
         pattern = Pattern(msg.pattern, int(msg.pattern_seed), colors, msg.pattern_size, msg.pattern_image)
     metallic, roughness = (None if math.isnan(v) else v for v in (msg.metallic, msg.roughness))
-    return Look(msg.hue, msg.saturation, msg.value, pattern, metallic, roughness)
+    return Appearance(msg.hue, msg.saturation, msg.value, pattern, metallic, roughness)
 
 
 def _triple(values: Any) -> Vec3:
@@ -210,7 +220,7 @@ def _visual_to_msg(visual: VisualSpec, link: int, semantic_class: int) -> RosVis
         pose=pose_to_msg(visual.pose),
         color=_color_to_msg(visual.color or (0.0, 0.0, 0.0, 0.0)),
         semantic_class=semantic_class,
-        look=[] if visual.look is None else [_look_to_msg(visual.look)],
+        look=[] if visual.appearance is None else [_appearance_to_msg(visual.appearance)],
     )
 
 

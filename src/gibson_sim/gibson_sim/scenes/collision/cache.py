@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+import gibson_sim
 from gibson_sim import __version__
 from gibson_sim.errors import SceneError
 from gibson_sim.resources import cache_folder
@@ -36,7 +37,8 @@ def default_folder() -> Path:
 def digest_of(vertices: NDArray[np.float64], triangles: NDArray[np.int64], *what: object) -> str:
     """Returns the name of the folder for a mesh (V, 3), (F, 3), and what is to be made of it."""
     total = hashlib.sha256(repr((__version__, *what)).encode())
-    for source in sorted(Path(__file__).parent.glob("*.py")):
+    package = Path(gibson_sim.__file__).parent
+    for source in (*sorted((package / "scenes" / "collision").glob("*.py")), package / "geometry" / "triangle_meshes.py"):
         total.update(source.read_bytes())
     for array in (np.asarray(vertices, dtype=np.float64), np.asarray(triangles, dtype=np.int64)):
         total.update(repr(array.shape).encode())

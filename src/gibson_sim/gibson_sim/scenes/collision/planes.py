@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from gibson_sim.geometry.rasterise import Grid
+from gibson_sim.geometry.triangle_meshes import components
 from gibson_sim.geometry.triangles import areas_of, unit_normals
-from gibson_sim.scenes.collision.triangles import components
-from gibson_sim.scenes.rasterise import Grid
 
 Bools = NDArray[np.bool_]
 F64 = NDArray[np.float64]

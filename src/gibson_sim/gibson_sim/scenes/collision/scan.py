@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
 from gibson_sim.errors import MeshError
+from gibson_sim.geometry.triangle_meshes import distances, simplify, smooth, weld
 from gibson_sim.geometry.triangles import spread_over
 from gibson_sim.scenes.collision.planes import Flattened, Slab, flatten_floors
-from gibson_sim.scenes.collision.triangles import distances, simplify, smooth, weld
 
 _log = logging.getLogger(__name__)
 F64 = NDArray[np.float64]

@@ -1,0 +1,50 @@
+"""Which module has which sub-command of ``gibson-sim``: ours, and those that other packages add by entry points.
+
+A package adds a command with an entry point of the group ``gibson_sim.commands``, or below ``gibson-sim scene`` with one of the group
+``gibson_sim.scene_commands``: the name is the command, the value a module whose ``add_parser(subparsers)`` describes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib.metadata import entry_points
+
+COMMANDS = {
+    "run": "run", "drive": "clients", "record": "clients", "snapshot": "clients", "bag": "bag", "compare": "compare", "demo": "demo",
+    "doctor": "doctor", "env": "env", "export": "export", "gallery": "gallery", "params": "params", "render": "render", "replay": "replay",
+    "scene": "scene", "task": "task", "top": "top",
+}  # fmt: skip
+"""Sub-command -> module of this package."""
+SCENE_COMMANDS = {"map": "scene_map"}
+"""Sub-command of ``gibson-sim scene`` -> module of this package."""
+_COMMAND_GROUP, _SCENE_GROUP = "gibson_sim.commands", "gibson_sim.scene_commands"
+_OF_TOOLS = ("check", "collision", "fetch", "fuse", "generate", "import", "inspect", "objects", "robot", "scan", "view")
+BROUGHT_BY = {("bench",): "gibson_sim_bench"} | {("scene", name): "gibson_sim_tools" for name in _OF_TOOLS}
+"""Commands of packages that may not be installed -> the package."""
+
+
+def command_modules() -> dict[str, str]:
+    """Returns the module of every sub-command, of all installed packages."""
+    return _with_added(COMMANDS, _COMMAND_GROUP)
+
+
+def scene_command_modules() -> dict[str, str]:
+    """Returns the module of every sub-command of ``gibson-sim scene``, of all installed packages."""
+    return _with_added(SCENE_COMMANDS, _SCENE_GROUP)
+
+
+def not_installed(words: Sequence[str]) -> str:
+    """Returns what to say of a command line whose command comes with a package that is not installed; "" for all others."""
+    for command, package in BROUGHT_BY.items():
+        known = scene_command_modules if len(command) == 2 else command_modules
+        if tuple(words[: len(command)]) == command and command[-1] not in known():
+            return (
+                f"`gibson-sim {' '.join(command)}` comes with the package {package}, which is not installed; "
+                f"install it from src/{package} of Gibson Sim's sources"
+            )
+    return ""
+
+
+def _with_added(ours: Mapping[str, str], group: str) -> dict[str, str]:
+    added = {point.name: point.value for point in entry_points(group=group)}
+    return dict(sorted((added | {name: f"gibson_sim.cli.{module}" for name, module in ours.items()}).items()))

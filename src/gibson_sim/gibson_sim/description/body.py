@@ -1,0 +1,46 @@
+"""A thing that is no robot: a bottle, a chair, a cabinet with doors. Pure values."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from gibson_sim.description.shapes import VisualSpec
+from gibson_sim.description.urdf import UrdfModel
+from gibson_sim.types import Pose
+
+
+@dataclass(frozen=True, slots=True)
+class BodySpec:
+    """One link, or several with joints, that physics moves; a static one stays where it is put."""
+
+    name: str
+    """Unique in the scene: its links are ``<name>/<link>``."""
+    model: UrdfModel
+    """Shapes, masses and joints."""
+    start: Pose = field(default_factory=Pose)
+    """T_world_root at load and after a reset."""
+    static: bool = False
+    """Nothing moves it but a command to be elsewhere."""
+    semantic_class: str = ""
+    """Class of all its visuals; empty = unlabelled."""
+    joints: tuple[tuple[str, float], ...] = ()
+    """Names of joints and where they are at load and after a reset, radians or metres; those that are not named are at 0."""
+
+    @property
+    def links(self) -> tuple[str, ...]:
+        """Names of all links, the root first, without the body name."""
+        return tuple(link.name for link in self.model.links)
+
+    @property
+    def visuals(self) -> tuple[VisualSpec, ...]:
+        """What is drawn."""
+        return model_visuals(self.model, self.name, self.semantic_class)
+
+
+def model_visuals(model: UrdfModel, name: str, semantic_class: str = "") -> tuple[VisualSpec, ...]:
+    """Returns the visuals of a model whose body is called ``name``."""
+    return tuple(
+        VisualSpec(f"{name}/{link.name}/{i}", f"{name}/{link.name}", visual.shape, visual.pose, visual.color, semantic_class)
+        for link in model.links
+        for i, visual in enumerate(link.visuals)
+    )

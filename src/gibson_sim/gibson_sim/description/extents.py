@@ -1,0 +1,82 @@
+"""How far shapes of a robot reach: points on their surfaces. Pure; who can read mesh files is given."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf_model import UrdfCollision, UrdfModel, UrdfVisual
+from gibson_sim.errors import MeshError
+from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, transform_points
+
+MeshPoints = Callable[[Path], NDArray[np.float64]]
+"""Takes the path of a mesh file to its vertices, (N, 3), metres, in its own frame; raises MeshError."""
+
+_TURN = np.linspace(0.0, 2 * np.pi, 73)[:-1]
+
+
+def shape_points(shape: Shape, points: MeshPoints | None = None) -> NDArray[np.float64] | None:
+    """Returns points that span a shape, (N, 3), in its frame, metres; None = it is a mesh that cannot be read.
+
+    Exact along the axes of the shape: the corners of a box, circles of 72 points on spheres and on both ends of cylinders.
+    """
+    if shape.kind == "mesh":
+        if points is None:
+            return None
+        try:
+            return np.asarray(points(Path(shape.mesh)) * np.array(shape.size), dtype=np.float64)
+        except MeshError:
+            return None
+    if shape.kind == "box":
+        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        return np.asarray(signs * np.array(shape.size) / 2, dtype=np.float64)
+    circle = shape.size[0] * np.stack([np.cos(_TURN), np.sin(_TURN), 0 * _TURN], axis=-1)
+    if shape.kind == "sphere":
+        return np.concatenate([circle, circle[:, [2, 0, 1]], circle[:, [1, 2, 0]]])
+    return np.concatenate([circle + np.array([0.0, 0.0, h * shape.size[1] / 2]) for h in (-1, 1)])
+
+
+def reach(shape: Shape, T_root_shape: Mat4, points: MeshPoints | None = None) -> tuple[float, float] | None:
+    """Returns (farthest distance from the z axis, highest z), metres; exact but for tilted cylinders' radius. None = unreadable mesh."""
+    center, rotation = T_root_shape[:3, 3], T_root_shape[:3, :3]
+    if shape.kind == "sphere":
+        return float(np.hypot(center[0], center[1])) + shape.size[0], float(center[2]) + shape.size[0]
+    own = shape_points(shape, points)
+    if own is None:
+        return None
+    if shape.kind == "cylinder":
+        # A cylinder that stands off the axis is farthest in the direction of its own centre.
+        angle = math.atan2(*(rotation.T @ center)[1::-1])
+        ends = np.array([[math.cos(angle), math.sin(angle), h] for h in (-1, 1)]) * (
+            shape.size[0],
+            shape.size[0],
+            shape.size[1] / 2,
+        )
+        own = np.concatenate([own, ends])
+    world = own @ rotation.T + center
+    return float(np.hypot(world[:, 0], world[:, 1]).max()), float(world[:, 2].max())
+
+
+def link_points(
+    shapes: Iterable[UrdfCollision | UrdfVisual], T_root_link: Mat4, points: MeshPoints | None = None
+) -> NDArray[np.float64]:
+    """Returns points that span shapes of a link, (N, 3), in the root's frame, metres; meshes that cannot be read give none."""
+    found = [np.zeros((0, 3))]
+    for item in shapes:
+        own = shape_points(item.shape, points)
+        if own is not None:
+            found.append(transform_points(T_root_link @ matrix_from_pose(item.pose), own))
+    return np.concatenate(found)
+
+
+def rigid_links(model: UrdfModel, name: str) -> list[str]:
+    """Returns a link and those that hang on it by fixed joints, and on these."""
+    found = [name]
+    for link in found:
+        found += [joint.child for joint in model.joints if joint.kind == "fixed" and joint.parent == link]
+    return found

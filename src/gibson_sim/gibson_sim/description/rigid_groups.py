@@ -1,0 +1,250 @@
+"""Joins links that fixed joints hold together into rigid groups, and writes the small URDF that a physics engine needs. Pure.
+
+Engines give links without an ``<inertial>`` a mass of 1 kg (Bullet) or make a massless root immovable; a group sums the masses of
+its links, so frames without mass (``base_footprint``, ``camera_link``) cost nothing and disturb nothing.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf import UrdfJoint, UrdfLink, UrdfModel
+from gibson_sim.errors import RobotError
+from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
+from gibson_sim.quoting import quoted
+
+MOVING_TYPES = ("continuous", "revolute", "prismatic")
+DEFAULT_FRICTION = 0.5
+"""Coulomb friction of links that give none; the engine multiplies it with that of the other body (static shapes: 1)."""
+MAX_MOVING_JOINTS = 121
+"""Of one body: the engine has room for 128 coordinates, of which the pose of the root takes seven."""
+MAX_JOINTS = 127
+"""The same, with fixed joints that hold links with a friction of their own."""
+_DEFAULT_ROOT_KG = 1.0
+_DEFAULT_LINK_KG = 0.05
+_DEFAULT_GYRATION = 0.05
+"""Radius of gyration, metres, of a group whose inertia is missing or impossible."""
+
+
+@dataclass(slots=True)
+class RigidGroup:
+    """Links that move as one. All matrices and vectors are in the frame of its first link."""
+
+    name: str
+    """Its first link, whose frame is the group's."""
+    joint: UrdfJoint | None
+    """What connects it to the group above; None for the root."""
+    parent: str = ""
+    """Name of the group above."""
+    T_parent_group: Mat4 = field(default_factory=lambda: np.eye(4))
+    """At joint position 0."""
+    members: dict[str, Mat4] = field(default_factory=dict)
+    """T_group_link, (4, 4), of every link in it."""
+    collisions: list[tuple[Shape, Mat4]] = field(default_factory=list)
+    """Shapes and T_group_shape."""
+    friction: float | None = None
+    rolling_friction: float = 0.0
+    spinning_friction: float = 0.0
+    stiffness: float = 0.0
+    contact_damping: float = 0.0
+    mass: float = 0.0
+    """kg."""
+    center: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    """Centre of mass, (3,), metres."""
+    inertia: NDArray[np.float64] = field(default_factory=lambda: np.zeros((3, 3)))
+    """About the centre of mass, (3, 3), kg m^2."""
+
+
+def rigid_groups(model: UrdfModel, *, fixed_root: bool = False) -> tuple[tuple[RigidGroup, ...], tuple[str, ...]]:
+    """Returns (groups, warnings): the root's group first, parents before children.
+
+    A fixed link with its own friction or stiffness stays a group, because these belong to a whole link in the engine.
+
+    Args:
+        model: the links.
+        fixed_root: nothing moves the root, so it needs no mass.
+    """
+    by_child = {joint.child: joint for joint in model.joints}
+    groups: dict[str, RigidGroup] = {}
+    home: dict[str, str] = {}
+    for link in model.links:
+        joint = by_child.get(link.name)
+        above = None if joint is None else groups[home[joint.parent]]
+        if joint is None or above is None:
+            group = _group(link, None)
+            T_group_link: Mat4 = np.eye(4)
+        else:
+            T_group_link = above.members[joint.parent] @ matrix_from_pose(joint.pose)
+            if joint.kind == "fixed" and _same_contact(above, link):
+                group = above
+            elif joint.kind in (*MOVING_TYPES, "fixed"):
+                group = _group(link, joint, above.name, T_group_link)
+                T_group_link = np.eye(4)
+            else:
+                raise RobotError(
+                    f"{model.path}: joint {quoted(joint.name)} is {joint.kind}, which is not simulated; use one of {MOVING_TYPES}"
+                )
+        groups[group.name] = group
+        home[link.name] = group.name
+        group.members[link.name] = T_group_link
+        _add(group, link, T_group_link)
+    _check_count(model, [group.joint for group in groups.values() if group.joint is not None])
+    warnings = [text for group in groups.values() for text in _check_mass(model, group) if group.joint or not fixed_root]
+    return tuple(groups.values()), tuple(warnings)
+
+
+def _check_count(model: UrdfModel, joints: list[UrdfJoint]) -> None:
+    moving = sum(joint.kind in MOVING_TYPES for joint in joints)
+    if moving > MAX_MOVING_JOINTS or len(joints) > MAX_JOINTS:
+        raise RobotError(
+            f"{model.path}: has {moving} joints that move, and {len(joints) - moving} links with a friction of their own; at most "
+            f"{MAX_MOVING_JOINTS} can move and {MAX_JOINTS} be there in all; make those fixed that you do not need"
+        )
+
+
+def _group(link: UrdfLink, joint: UrdfJoint | None, parent: str = "", T_parent_group: Mat4 | None = None) -> RigidGroup:
+    """Returns the group that begins with a link."""
+    at = np.eye(4) if T_parent_group is None else T_parent_group
+    group = RigidGroup(link.name, joint, parent, at)
+    _take_contact(group, link)
+    return group
+
+
+def _take_contact(group: RigidGroup, link: UrdfLink) -> None:
+    """Lets the group's surface be that of a link."""
+    group.friction = link.friction
+    group.rolling_friction, group.spinning_friction = link.rolling_friction, link.spinning_friction
+    group.stiffness, group.contact_damping = link.stiffness, link.contact_damping
+
+
+def physics_urdf(model: UrdfModel, groups: tuple[RigidGroup, ...], *, concave: bool = False) -> str:
+    """Returns a URDF with one link per group: masses, collision shapes with absolute paths, joints; nothing to be drawn.
+
+    ``concave``: meshes are as they are, hollow; only for what never moves. Otherwise the engine makes convex hulls of them.
+    """
+    robot = ET.Element("robot", name=model.name)
+    for group in groups:
+        link = ET.SubElement(robot, "link", name=group.name)
+        contact = ET.SubElement(link, "contact")
+        ET.SubElement(contact, "lateral_friction", value=_text(DEFAULT_FRICTION if group.friction is None else group.friction))
+        for key, value in (("rolling_friction", group.rolling_friction), ("spinning_friction", group.spinning_friction)):
+            if value:
+                ET.SubElement(contact, key, value=_text(value))
+        if group.stiffness:  # the engine takes both or none
+            ET.SubElement(contact, "stiffness", value=_text(group.stiffness))
+            ET.SubElement(contact, "damping", value=_text(group.contact_damping))
+        inertial = ET.SubElement(link, "inertial")
+        ET.SubElement(inertial, "origin", xyz=_text(*group.center), rpy="0 0 0")
+        ET.SubElement(inertial, "mass", value=_text(group.mass))
+        i = group.inertia
+        parts = {"ixx": i[0, 0], "ixy": i[0, 1], "ixz": i[0, 2], "iyy": i[1, 1], "iyz": i[1, 2], "izz": i[2, 2]}
+        ET.SubElement(inertial, "inertia", {key: _text(value) for key, value in parts.items()})
+        for shape, T_group_shape in group.collisions:
+            collision = ET.SubElement(link, "collision", {"concave": "yes"} if concave else {})
+            _origin(collision, T_group_shape)
+            _geometry(collision, shape)
+        if group.joint is not None:
+            _joint(robot, group, group.joint)
+    ET.indent(robot)  # Bullet breaks lines of more than 8 KB, also in the middle of a file's name.
+    return ET.tostring(robot, encoding="unicode")
+
+
+def _same_contact(group: RigidGroup, link: UrdfLink) -> bool:
+    """Returns whether the link's shapes can join the group's; the first shapes of a group decide its friction and stiffness."""
+    if not link.collisions:
+        return True
+    if not group.collisions:
+        _take_contact(group, link)
+    rolling, soft = (link.rolling_friction, link.spinning_friction), (link.stiffness, link.contact_damping)
+    same_rolling = rolling in ((0.0, 0.0), (group.rolling_friction, group.spinning_friction))
+    same_soft = soft[0] == 0.0 or soft == (group.stiffness, group.contact_damping)
+    return (link.friction is None or link.friction == group.friction) and same_rolling and same_soft
+
+
+def _add(group: RigidGroup, link: UrdfLink, T_group_link: Mat4) -> None:
+    """Adds the link's shapes and mass (parallel axis theorem)."""
+    for item in link.collisions:
+        group.collisions.append((item.shape, T_group_link @ matrix_from_pose(item.pose)))
+    if link.inertial is None or link.inertial.mass == 0:
+        return
+    T_group_inertial = T_group_link @ matrix_from_pose(link.inertial.pose)
+    ixx, ixy, ixz, iyy, iyz, izz = link.inertial.inertia
+    own = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+    rotation = T_group_inertial[:3, :3]
+    mass = group.mass + link.inertial.mass
+    center = (group.mass * group.center + link.inertial.mass * T_group_inertial[:3, 3]) / mass
+    group.inertia = (
+        group.inertia
+        + _point_inertia(group.mass, group.center - center)
+        + rotation @ own @ rotation.T
+        + _point_inertia(link.inertial.mass, T_group_inertial[:3, 3] - center)
+    )
+    group.mass, group.center = mass, center
+
+
+def _point_inertia(mass: float, offset: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Returns the inertia, (3, 3), of a point mass at ``offset``."""
+    return mass * (float(offset @ offset) * np.eye(3) - np.outer(offset, offset))
+
+
+def _check_mass(model: UrdfModel, group: RigidGroup) -> list[str]:
+    """Gives the group a mass and an inertia that an engine can use; returns what it had to change."""
+    warnings = []
+    if group.mass <= 0:
+        group.mass = _DEFAULT_ROOT_KG if group.joint is None else _DEFAULT_LINK_KG
+        group.inertia = np.zeros((3, 3))
+        warnings.append(f"{model.path.name}: link {quoted(group.name)} has no mass; {group.mass:g} kg is used")
+    low, mid, high = np.linalg.eigvalsh(group.inertia)
+    # A real body obeys the triangle inequality; hand-written files often miss it a little, and engines bear that.
+    if low <= 0 or high > 1.5 * (low + mid):
+        group.inertia = np.eye(3) * group.mass * _DEFAULT_GYRATION**2
+        if not warnings:
+            warnings.append(
+                f"{model.path.name}: link {quoted(group.name)} has an impossible inertia; that of a small ball is used"
+            )
+    return warnings
+
+
+def _joint(robot: ET.Element, group: RigidGroup, joint: UrdfJoint) -> None:
+    element = ET.SubElement(robot, "joint", name=joint.name, type=joint.kind)
+    ET.SubElement(element, "parent", link=group.parent)
+    ET.SubElement(element, "child", link=group.name)
+    _origin(element, group.T_parent_group)
+    ET.SubElement(element, "axis", xyz=_text(*joint.axis))
+    if joint.kind in ("revolute", "prismatic"):
+        limits = {"lower": joint.lower, "upper": joint.upper, "effort": joint.effort, "velocity": joint.velocity}
+        ET.SubElement(element, "limit", {key: _text(value) for key, value in limits.items()})
+
+
+def _geometry(collision: ET.Element, shape: Shape) -> None:
+    geometry = ET.SubElement(collision, "geometry")
+    if shape.kind == "mesh":
+        ET.SubElement(geometry, "mesh", filename=shape.mesh, scale=_text(*shape.size))
+    elif shape.kind == "box":
+        ET.SubElement(geometry, "box", size=_text(*shape.size))
+    elif shape.kind == "sphere":
+        ET.SubElement(geometry, "sphere", radius=_text(shape.size[0]))
+    else:
+        ET.SubElement(geometry, "cylinder", radius=_text(shape.size[0]), length=_text(shape.size[1]))
+
+
+def _origin(element: ET.Element, transform: Mat4) -> None:
+    ET.SubElement(element, "origin", xyz=_text(*transform[:3, 3]), rpy=_text(*_rpy_from_matrix(transform[:3, :3])))
+
+
+def _rpy_from_matrix(rotation: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Returns roll, pitch, yaw (radians) with ``rotation`` = Rz(yaw) Ry(pitch) Rx(roll)."""
+    pitch = math.atan2(-rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0]))
+    if math.hypot(rotation[0, 0], rotation[1, 0]) < 1e-9:  # straight up or down: only roll -+ yaw is defined, so yaw is 0
+        return math.atan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0
+    return math.atan2(rotation[2, 1], rotation[2, 2]), pitch, math.atan2(rotation[1, 0], rotation[0, 0])
+
+
+def _text(*values: float) -> str:
+    return " ".join(f"{float(value):.17g}" for value in values)

@@ -1,0 +1,357 @@
+"""Reads a URDF file into plain values: links, shapes, joints, the tree. Pure: no physics engine, no ROS.
+
+Bad structure (no root, two roots, a cycle, a number that is none) is a ``RobotError``. What can be done without (a mesh that is
+missing, a shape of unknown kind) is left out, with one line in ``UrdfModel.warnings``.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from gibson_sim.description.mesh_files import resolve_mesh
+from gibson_sim.description.mimic import Mimic, leaders
+from gibson_sim.description.omissions import Omission, OmissionKind
+from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf_model import JOINT_TYPES, Inertial, UrdfCollision, UrdfJoint, UrdfLink, UrdfModel, UrdfVisual
+from gibson_sim.description.xacro import is_xacro, with_defaults
+from gibson_sim.errors import RobotError, TextError
+from gibson_sim.geometry.transforms import pose_from_xyz_rpy
+from gibson_sim.quoting import clipped, quoted
+from gibson_sim.reading import parse_xml, read_file
+from gibson_sim.types import Pose, Rgba, Vec3
+
+
+class XmlValues:
+    """Reads the values of one file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path.absolute()
+
+    def origin(self, element: ET.Element, where: str) -> Pose:
+        """Returns the pose in the ``<origin>`` of an element; the identity where there is none."""
+        item = element.find("origin")
+        if item is None:
+            return Pose()
+        zero = (0.0, 0.0, 0.0)
+        xyz = self.vector(item, "xyz", where) if item.get("xyz") else zero
+        rpy = self.vector(item, "rpy", where) if item.get("rpy") else zero
+        return pose_from_xyz_rpy(xyz, rpy)
+
+    def positive(self, values: tuple[float, ...], where: str) -> tuple[float, ...]:
+        """Returns the values where all are above 0."""
+        if min(values) <= 0:
+            raise RobotError(f"{self.path}: {where}: size {values} must be above 0 in every direction")
+        return values
+
+    def text(self, element: ET.Element, key: str) -> str:
+        """Returns an attribute that is not empty."""
+        value = element.get(key, "").strip()
+        if not value:
+            raise RobotError(f"{self.path}: a <{element.tag}> has no {key}")
+        return value
+
+    def vector(self, element: ET.Element, key: str, where: str) -> Vec3:
+        """Returns three finite numbers."""
+        x, y, z = self.numbers(element, key, 3, where)
+        return (x, y, z)
+
+    def optional(self, element: ET.Element, key: str, where: str, default: float = 0.0) -> float:
+        """Returns a finite number, or the default where the attribute is not there."""
+        return self.numbers(element, key, 1, where)[0] if element.get(key) else default
+
+    def numbers(self, element: ET.Element, key: str, count: int, where: str) -> tuple[float, ...]:
+        """Returns so many finite numbers."""
+        raw = element.get(key, "")
+        try:
+            values = tuple(float(part) for part in raw.split())
+        except ValueError:
+            values = ()
+        if len(values) != count or not all(map(math.isfinite, values)):
+            wanted = "a finite number" if count == 1 else f"{count} finite numbers"
+            raise RobotError(f'{self.path}: {where}: <{element.tag} {key}="{raw}">, must be {wanted}')
+        return values
+
+
+__all__ = [
+    "JOINT_TYPES", "FindMesh", "Inertial", "UrdfCollision", "UrdfJoint", "UrdfLink", "UrdfModel", "UrdfVisual", "parse_urdf", "read_urdf",
+]  # fmt: skip
+
+_MOST_NAMED, _LONGEST_NAME = 8, 40
+"""Links that a message names, and characters of each."""
+_MOST_FRICTION = 1.5
+"""Of what a file tells Gazebo: wheels there often have 100 or more."""
+FindMesh = Callable[[str, Path], Path | None]
+"""Takes what a URDF names and the URDF's path to the absolute path of a file, or None when there is none."""
+
+
+def read_urdf(path: Path | str, find: FindMesh | None = None) -> UrdfModel:
+    """Reads the URDF at ``path``.
+
+    Args:
+        path: the file.
+        find: finds its meshes; None = ``resolve_mesh``.
+
+    Raises:
+        RobotError: the file is not there, is no URDF, or its tree is broken; one line.
+    """
+    path = Path(path)
+    try:
+        text = read_file(path)
+    except FileNotFoundError as error:
+        raise RobotError(f"no URDF at {path}") from error
+    except OSError as error:
+        raise RobotError(f"{path}: cannot be read: {error.strerror}") from error
+    return parse_urdf(text, path, find)
+
+
+def parse_urdf(text: str | bytes, source: Path, find: FindMesh | None = None) -> UrdfModel:
+    """Reads a URDF that is at hand as text.
+
+    Args:
+        text: the XML.
+        source: where it comes from, for messages and for names relative to it; need not exist.
+        find: finds its meshes; None = ``resolve_mesh``.
+
+    Raises:
+        RobotError: it is no URDF, or its tree is broken; one line.
+    """
+    xacro = f"{source.absolute()}: is a xacro, not a URDF; expand it first: xacro {source.name} > robot.urdf"
+    try:
+        top = parse_xml(with_defaults(text.encode("utf-8", errors="replace") if isinstance(text, str) else text))
+    except TextError as error:
+        raise RobotError(xacro if is_xacro(text) else f"{source}: {error}").telling(error.public) from error
+    if is_xacro(text, top):
+        raise RobotError(xacro)
+    return _Reader(source, find or resolve_mesh).model(top)
+
+
+class _Reader(XmlValues):
+    """Turns the XML of one file into values; gathers warnings on the way."""
+
+    def __init__(self, path: Path, find: FindMesh) -> None:
+        super().__init__(path)
+        self.find = find
+        self.warnings: list[str] = []
+        self.colors: dict[str, Rgba | None] = {}
+        """None = a texture alone."""
+        self.frictions: dict[str, float] = {}
+        """Link -> Coulomb friction that the file tells Gazebo."""
+
+    def model(self, top: ET.Element) -> UrdfModel:
+        if top.tag != "robot":
+            raise RobotError(f"{self.path}: the outermost element is <{top.tag}>, a URDF has <robot>")
+        for material in top.iter("material"):
+            color = material.find("color")
+            if color is not None or material.find("texture") is not None:
+                self.colors.setdefault(material.get("name", ""), None if color is None else self.rgba(color))
+        self.frictions = self.gazebo_frictions(top)
+        links = [self.link(element) for element in top.findall("link")]
+        joints = [self.joint(element) for element in top.findall("joint")]
+        ordered = self.tree(links, joints)
+        joints = self.led(joints)
+        return UrdfModel(top.get("name", self.path.stem), self.path, ordered, tuple(joints), tuple(self.warnings))
+
+    def tree(self, links: list[UrdfLink], joints: list[UrdfJoint]) -> tuple[UrdfLink, ...]:
+        """Returns the links, parents first; raises where they do not form one tree."""
+        self.unique("link", [link.name for link in links])
+        self.unique("joint", [joint.name for joint in joints])
+        by_name = {link.name: link for link in links}
+        children: dict[str, list[str]] = {link.name: [] for link in links}
+        parents: dict[str, UrdfJoint] = {}
+        for joint in joints:
+            for end in (joint.parent, joint.child):
+                if end not in by_name:
+                    raise RobotError(f"{self.path}: joint {quoted(joint.name)} names link {quoted(end)}, which is not there")
+            if joint.child in parents:
+                other = parents[joint.child].name
+                raise RobotError(
+                    f"{self.path}: link {quoted(joint.child)} has two parents, through joints {quoted(other)} and {quoted(joint.name)}"
+                )
+            parents[joint.child] = joint
+            children[joint.parent].append(joint.child)
+        roots = [name for name in by_name if name not in parents]
+        if not by_name:
+            raise RobotError(f"{self.path}: has no <link>")
+        if not roots:
+            raise RobotError(f"{self.path}: has no root link: the joints form a cycle; one link must be no joint's child")
+        if len(roots) > 1:
+            named = ", ".join(clipped(name, _LONGEST_NAME) for name in roots[:_MOST_NAMED]) + (
+                ", ..." if len(roots) > _MOST_NAMED else ""
+            )
+            raise RobotError(f"{self.path}: has {len(roots)} root links ({named}); join them so that one is left")
+        order: list[str] = []
+        stack = [roots[0]]
+        while stack:
+            name = stack.pop()
+            order.append(name)
+            stack.extend(reversed(children[name]))
+        if len(order) != len(by_name):
+            lost = [name for name in by_name if name not in set(order)]
+            raise RobotError(f"{self.path}: links {', '.join(lost)} form a cycle that the root {quoted(roots[0])} does not reach")
+        return tuple(by_name[name] for name in order)
+
+    def led(self, joints: list[UrdfJoint]) -> list[UrdfJoint]:
+        """Returns the joints, those that mimic others with the one that they follow in the end."""
+        moving = [joint.name for joint in joints if joint.kind != "fixed"]
+        followed = leaders({joint.name: joint.mimic for joint in joints if joint.mimic is not None}, moving, str(self.path))
+        return [replace(joint, mimic=followed.get(joint.name)) for joint in joints]
+
+    def unique(self, what: str, names: Iterable[str]) -> None:
+        seen: set[str] = set()
+        for name in names:
+            if name in seen:
+                raise RobotError(f"{self.path}: two {what}s are named {quoted(name)}; names must differ")
+            seen.add(name)
+
+    def link(self, element: ET.Element) -> UrdfLink:
+        name = self.text(element, "name")
+        where = f"link {quoted(name)}"
+        visuals = []
+        for item in element.findall("visual"):
+            shape = self.shape(item, f"{where}: visual")
+            if shape is not None:
+                visuals.append(UrdfVisual(shape, self.origin(item, where), self.color(item.find("material"), where)))
+        collisions = []
+        for item in element.findall("collision"):
+            shape = self.shape(item, f"{where}: collision")
+            if shape is not None:
+                collisions.append(UrdfCollision(shape, self.origin(item, where)))
+        friction = element.find("contact/lateral_friction")
+        return UrdfLink(
+            name, tuple(visuals), tuple(collisions), self.inertial(element.find("inertial"), where),
+            self.frictions.get(name) if friction is None else self.numbers(friction, "value", 1, where)[0],
+            self.contact(element, "rolling_friction", where), self.contact(element, "spinning_friction", where),
+            self.contact(element, "stiffness", where), self.contact(element, "damping", where),
+        )  # fmt: skip
+
+    def gazebo_frictions(self, top: ET.Element) -> dict[str, float]:
+        """Returns link -> friction, from ``<gazebo reference="link"><mu1>0.1</mu1></gazebo>``; the smaller one of both directions."""
+        found: dict[str, float] = {}
+        names = [element.get("name", "") for element in top.findall("link")]
+        for element in top.findall("gazebo"):
+            try:
+                values = [float(item.text or "") for key in ("mu1", "mu2") for item in element.iter(key)]
+            except ValueError:
+                continue
+            if values and all(math.isfinite(value) and value >= 0.0 for value in values):
+                reference = element.get("reference", "")
+                # Descriptions with a prefix often forget it here.
+                meant = [name for name in names if name == reference] or [n for n in names if n.endswith(f"/{reference}")]
+                found.update({name: min(*values, _MOST_FRICTION) for name in meant if len(meant) == 1})
+        return found
+
+    def contact(self, element: ET.Element, key: str, where: str) -> float:
+        found = element.find(f"contact/{key}")
+        value = 0.0 if found is None else self.numbers(found, "value", 1, where)[0]
+        if value < 0:
+            raise RobotError(f"{self.path}: {where}: {key} is {value:g}, must not be negative")
+        return value
+
+    def joint(self, element: ET.Element) -> UrdfJoint:
+        name = self.text(element, "name")
+        where = f"joint {quoted(name)}"
+        kind = element.get("type", "")
+        if kind not in JOINT_TYPES:
+            raise RobotError(f"{self.path}: {where} has type {quoted(kind)}, must be one of {', '.join(JOINT_TYPES)}")
+        ends = []
+        for tag in ("parent", "child"):
+            end = element.find(tag)
+            if end is None or not end.get("link"):
+                raise RobotError(f'{self.path}: {where} has no <{tag} link="..."/>')
+            ends.append(end.get("link", ""))
+        axis_element = element.find("axis")
+        axis = (1.0, 0.0, 0.0) if axis_element is None else self.vector(axis_element, "xyz", where)
+        length = math.sqrt(sum(c * c for c in axis))
+        if kind != "fixed" and length < 1e-9:
+            raise RobotError(f"{self.path}: {where} has axis (0, 0, 0), which is no direction")
+        unit = (axis[0] / length, axis[1] / length, axis[2] / length) if length > 1e-9 else (1.0, 0.0, 0.0)
+        limit, dynamics = element.find("limit"), element.find("dynamics")
+        damping, friction = (0.0 if dynamics is None else self.optional(dynamics, key, where) for key in ("damping", "friction"))
+        lower, upper, effort, velocity = 0.0, -1.0, 0.0, 0.0
+        if limit is not None:
+            effort = self.optional(limit, "effort", where)
+            velocity = self.optional(limit, "velocity", where)
+            if min(effort, velocity) < 0:
+                raise RobotError(f"{self.path}: {where}: effort is {effort:g} and velocity {velocity:g}, neither may be negative")
+            if kind in ("revolute", "prismatic"):
+                lower, upper = self.optional(limit, "lower", where), self.optional(limit, "upper", where)
+        return UrdfJoint(
+            name, kind, ends[0], ends[1], self.origin(element, where), unit, lower, upper, effort, velocity,
+            damping, self.mimic(element.find("mimic"), kind, where), friction,
+        )  # fmt: skip
+
+    def mimic(self, element: ET.Element | None, kind: str, where: str) -> Mimic | None:
+        if element is None or kind == "fixed":
+            return None
+        if not element.get("joint"):
+            raise RobotError(f"{self.path}: {where}: <mimic> names no joint")
+        multiplier = self.optional(element, "multiplier", where, 1.0)
+        return Mimic(element.get("joint", ""), multiplier, self.optional(element, "offset", where))
+
+    def inertial(self, element: ET.Element | None, where: str) -> Inertial | None:
+        if element is None:
+            return None
+        mass, inertia = element.find("mass"), element.find("inertia")
+        if mass is None:
+            raise RobotError(f"{self.path}: {where}: <inertial> has no <mass>")
+        kg = self.numbers(mass, "value", 1, where)[0]
+        if kg < 0:
+            raise RobotError(f"{self.path}: {where}: mass is {kg:g} kg, must not be negative")
+        keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+        ixx, ixy, ixz, iyy, iyz, izz = (0.0 if inertia is None else self.optional(inertia, key, where) for key in keys)
+        for key, value in (("ixx", ixx), ("iyy", iyy), ("izz", izz)):
+            if value < 0:
+                raise RobotError(f"{self.path}: {where}: {key} is {value:g} kg m^2, must not be negative; is its sign wrong?")
+        return Inertial(kg, self.origin(element, where), (ixx, ixy, ixz, iyy, iyz, izz))
+
+    def shape(self, element: ET.Element, where: str) -> Shape | None:
+        """Returns the shape, or None (with a warning) when it cannot be used."""
+        geometry = element.find("geometry")
+        kinds = [] if geometry is None else list(geometry)
+        if not kinds:
+            self.warnings.append(f"{self.path.name}: {where} has no geometry; left out")
+            return None
+        item = kinds[0]
+        if item.tag == "box":
+            x, y, z = self.positive(self.vector(item, "size", where), where)
+            return Shape("box", (x, y, z))
+        if item.tag == "sphere":
+            (radius,) = self.positive(self.numbers(item, "radius", 1, where), where)
+            return Shape("sphere", (radius, 0.0, 0.0))
+        if item.tag == "cylinder":
+            sizes = (*self.numbers(item, "radius", 1, where), *self.numbers(item, "length", 1, where))
+            radius, length = self.positive(sizes, where)
+            return Shape("cylinder", (radius, length, 0.0))
+        if item.tag == "mesh":
+            scale = self.vector(item, "scale", where) if item.get("scale") else (1.0, 1.0, 1.0)
+            if 0.0 in scale:
+                raise RobotError(f"{self.path}: {where}: scale {scale} makes the mesh flat; no factor may be 0")
+            name = self.text(item, "filename")
+            found = self.find(name, self.path)
+            if found is not None:
+                return Shape("mesh", scale, str(found))
+            text = f"{self.path.name}: {where}: mesh {name} is not there; left out"
+            self.warnings.append(Omission(text, OmissionKind.MISSING_ASSET))
+            return None
+        text = f"{self.path.name}: {where}: shape <{item.tag}> is not known; left out"
+        self.warnings.append(Omission(text, OmissionKind.UNSUPPORTED_ELEMENT))
+        return None
+
+    def color(self, material: ET.Element | None, where: str) -> Rgba | None:
+        if material is None:
+            return None
+        own = material.find("color")
+        if own is not None:
+            return self.rgba(own)
+        name = material.get("name", "")
+        if name not in self.colors and material.find("texture") is None:
+            self.warnings.append(f"{self.path.name}: {where}: material {quoted(name)} is not defined; drawn without a colour")
+        return self.colors.get(name)
+
+    def rgba(self, element: ET.Element) -> Rgba:
+        r, g, b, a = (min(max(c, 0.0), 1.0) for c in self.numbers(element, "rgba", 4, "material"))
+        return (r, g, b, a)

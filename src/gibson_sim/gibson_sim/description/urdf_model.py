@@ -1,0 +1,195 @@
+"""A robot or a thing as a URDF describes it: links, shapes, joints, the tree. Pure values; ``description.urdf`` reads them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from gibson_sim.description.mimic import Mimic
+from gibson_sim.description.shapes import Shape
+from gibson_sim.errors import RobotError
+from gibson_sim.geometry.transforms import Mat4, matrix_from_pose
+from gibson_sim.quoting import quoted
+from gibson_sim.types import Pose, Rgba, Vec3
+
+JOINT_TYPES = ("fixed", "continuous", "revolute", "prismatic", "floating", "planar")
+
+
+@dataclass(frozen=True, slots=True)
+class UrdfVisual:
+    """A shape to be drawn."""
+
+    shape: Shape
+    pose: Pose
+    """T_link_visual."""
+    color: Rgba | None
+    """sRGB and alpha of its material; None = the material names none."""
+
+
+@dataclass(frozen=True, slots=True)
+class UrdfCollision:
+    """A collision shape."""
+
+    shape: Shape
+    pose: Pose
+    """T_link_shape."""
+
+
+@dataclass(frozen=True, slots=True)
+class Inertial:
+    """Mass of one link."""
+
+    mass: float
+    """kg."""
+    pose: Pose
+    """T_link_inertial: its position is the centre of mass."""
+    inertia: tuple[float, float, float, float, float, float]
+    """ixx, ixy, ixz, iyy, iyz, izz in the inertial frame, kg m^2."""
+
+
+@dataclass(frozen=True, slots=True)
+class UrdfLink:
+    """One rigid link."""
+
+    name: str
+    visuals: tuple[UrdfVisual, ...] = ()
+    collisions: tuple[UrdfCollision, ...] = ()
+    inertial: Inertial | None = None
+    friction: float | None = None
+    """Coulomb friction from ``<contact><lateral_friction value=""/></contact>`` (an extension of Bullet); None = not given."""
+    rolling_friction: float = 0.0
+    """Metres: what holds a round link back, from ``<rolling_friction value=""/>`` beside it."""
+    spinning_friction: float = 0.0
+    """Metres: the same about the normal of a contact, from ``<spinning_friction value=""/>``."""
+    stiffness: float = 0.0
+    """N/m of its contacts, from ``<stiffness value=""/>``: what stands on soft and on hard points stands on the hard ones first; 0 = hard."""
+    contact_damping: float = 0.0
+    """N s/m of its contacts, from ``<damping value=""/>`` beside that."""
+
+
+@dataclass(frozen=True, slots=True)
+class UrdfJoint:
+    """One joint, at zero its child frame is at ``pose`` in the parent's."""
+
+    name: str
+    kind: str
+    """One of ``JOINT_TYPES``."""
+    parent: str
+    child: str
+    pose: Pose
+    """T_parent_child at joint position 0."""
+    axis: Vec3
+    """Unit vector, child frame."""
+    lower: float = 0.0
+    """Radians or metres; lower > upper = no limit."""
+    upper: float = -1.0
+    effort: float = 0.0
+    """N m or N; 0 = not given."""
+    velocity: float = 0.0
+    """rad/s or m/s; 0 = not given."""
+    damping: float = 0.0
+    """N m s/rad or N s/m."""
+    mimic: Mimic | None = None
+    """What it follows; None = it moves by itself."""
+    friction: float = 0.0
+    """N m or N that hold it back while nobody drives it."""
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether its position has limits."""
+        return self.kind != "continuous" and self.lower <= self.upper
+
+    @property
+    def has_motor(self) -> bool:
+        """Whether it can be commanded: a continuous one that the URDF gives neither effort nor speed is a caster."""
+        if self.mimic is not None:
+            return False
+        return self.kind in ("revolute", "prismatic") or (self.kind == "continuous" and max(self.effort, self.velocity) > 0.0)
+
+    def motion(self, position: float) -> Mat4:
+        """Returns T_zero_child, (4, 4): how far ``position`` (radians or metres) moves the child from where it is at 0."""
+        x, y, z = self.axis
+        if self.kind == "prismatic":
+            return np.array(
+                [
+                    [1.0, 0.0, 0.0, x * position],
+                    [0.0, 1.0, 0.0, y * position],
+                    [0.0, 0.0, 1.0, z * position],
+                    [0.0, 0.0, 0.0, 1.0],
+                ]
+            )
+        s, c = math.sin(position), math.cos(position)
+        v = 1.0 - c
+        return np.array(
+            [
+                [c + x * x * v, x * y * v - z * s, x * z * v + y * s, 0.0],
+                [x * y * v + z * s, c + y * y * v, y * z * v - x * s, 0.0],
+                [x * z * v - y * s, y * z * v + x * s, c + z * z * v, 0.0],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class UrdfModel:
+    """A checked tree of links."""
+
+    name: str
+    path: Path
+    links: tuple[UrdfLink, ...]
+    """The root first, each parent before its children."""
+    joints: tuple[UrdfJoint, ...]
+    """In the order of the file."""
+    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def root(self) -> str:
+        """Name of the link without a parent."""
+        return self.links[0].name
+
+    def link(self, name: str) -> UrdfLink:
+        """Returns the link of this name, or raises RobotError that lists the known ones."""
+        for link in self.links:
+            if link.name == name:
+                return link
+        raise RobotError(f"{self.path}: no link {quoted(name)}; known: {', '.join(link.name for link in self.links)}")
+
+    def joint(self, name: str) -> UrdfJoint:
+        """Returns the joint of this name, or raises RobotError that lists the known ones."""
+        for joint in self.joints:
+            if joint.name == name:
+                return joint
+        raise RobotError(f"{self.path}: no joint {quoted(name)}; known: {', '.join(joint.name for joint in self.joints)}")
+
+    def fixed_to_root(self) -> tuple[str, ...]:
+        """Returns the root and the links that only fixed joints join to it, in the order of ``links``."""
+        found = {self.root}
+        fixed = {joint.child: joint.parent for joint in self.joints if joint.kind == "fixed"}
+        for link in self.links[1:]:
+            if fixed.get(link.name) in found:
+                found.add(link.name)
+        return tuple(link.name for link in self.links if link.name in found)
+
+    def transforms(self, positions: Mapping[str, float] | None = None) -> dict[str, Mat4]:
+        """Returns T_root_link, (4, 4), of every link with joints at ``positions``; those that are not named are at 0."""
+        at = positions or {}
+        by_child = {joint.child: joint for joint in self.joints}
+        out = {self.root: matrix_from_pose(Pose())}
+        for link in self.links[1:]:
+            joint = by_child[link.name]
+            out[link.name] = out[joint.parent] @ matrix_from_pose(joint.pose)
+            if at.get(joint.name):
+                out[link.name] = out[link.name] @ joint.motion(at[joint.name])
+        return out
+
+    def with_followers(self, positions: Mapping[str, float]) -> dict[str, float]:
+        """Returns the positions, and where the joints that mimic others are then; leaders that are not named are at 0."""
+        out = dict(positions)
+        for joint in self.joints:
+            if joint.mimic is not None:
+                out[joint.name] = joint.mimic.position(positions.get(joint.mimic.leader, 0.0))
+        return out

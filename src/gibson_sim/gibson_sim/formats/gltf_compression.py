@@ -1,0 +1,133 @@
+"""Decodes what glTF extensions compress: meshes with Draco, buffers with meshoptimizer. Nothing in a file is believed before it is checked."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import MeshError
+from gibson_sim.quoting import clipped, quoted
+
+DRACO = "KHR_draco_mesh_compression"
+MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+MAX_DECODED_BYTES = 2**30
+"""Of one file."""
+_TIMEOUT_S = 120.0
+_BY_HAND = "export the file without it, or convert it: npx @gltf-transform/cli copy in.glb out.glb"
+_FILTERS = {"NONE": (), "OCTAHEDRAL": (4, 8), "QUATERNION": (8,), "EXPONENTIAL": tuple(range(4, 257, 4))}
+"""Filter -> strides, bytes, that it is for; empty = any."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DracoMesh:
+    """A decoded mesh."""
+
+    indices: NDArray[np.int64]
+    """(3 F,)."""
+    attributes: Mapping[int, NDArray[Any]]
+    """Unique id -> values of each vertex, (V, C)."""
+
+
+def decode_draco(where: str, meshes: Sequence[bytes]) -> list[DracoMesh]:
+    """Returns Draco meshes, decoded in one process of its own, which may fail without harm.
+
+    Raises:
+        MeshError: DracoPy is not installed, or a mesh is broken or too large; one line.
+    """
+    if find_spec("DracoPy") is None:
+        raise MeshError(f"{where}: is Draco compressed; install what reads it (pip install DracoPy), {_BY_HAND}")
+    data = b"".join(len(mesh).to_bytes(8, "little") + mesh for mesh in meshes)
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(os.path.abspath(entry) for entry in sys.path if entry),
+        "OPENBLAS_NUM_THREADS": "1",
+    }
+    command = [sys.executable, "-m", "gibson_sim.formats.draco_process"]
+    try:
+        done = subprocess.run(
+            command, input=data, env=environment, cwd=os.sep, capture_output=True, timeout=_TIMEOUT_S, check=False
+        )
+    except subprocess.TimeoutExpired as error:
+        raise MeshError(
+            f"{where}: its Draco meshes were not decoded after {_TIMEOUT_S:g} s; the file is broken or too large"
+        ) from error
+    if done.returncode:
+        said = done.stderr.decode(errors="replace").strip().splitlines()
+        reason = clipped(said[-1], 200) if said else f"the decoder ended with code {done.returncode}"
+        raise MeshError(f"{where}: a Draco mesh cannot be decoded ({reason}); the file is cut, broken, or too large")
+    try:
+        with np.load(io.BytesIO(done.stdout), allow_pickle=False) as arrays:
+            found = {name: arrays[name] for name in arrays.files}
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        raise MeshError(f"{where}: a Draco mesh cannot be decoded; the file is broken") from error
+    return [_draco_mesh(i, found) for i in range(len(meshes))]
+
+
+def _draco_mesh(number: int, found: Mapping[str, NDArray[Any]]) -> DracoMesh:
+    start = f"{number}_"
+    values = {
+        int(name[len(start) :]): array for name, array in found.items() if name.startswith(start) and name != f"{start}faces"
+    }
+    return DracoMesh(found[f"{start}faces"].reshape(-1).astype(np.int64), {k: v.reshape(len(v), -1) for k, v in values.items()})
+
+
+def decode_meshopt(where: str, extension: Mapping[str, Any], data: bytes) -> bytes:
+    """Returns the bytes of a buffer view that meshoptimizer compressed.
+
+    Args:
+        where: the file, for messages.
+        extension: ``count``, ``byteStride``, ``mode`` and ``filter``, as the file has them.
+        data: the compressed bytes.
+
+    Raises:
+        MeshError: the numbers do not fit, or the data are broken; one line.
+    """
+    count, stride = (int(extension.get(key, 0)) for key in ("count", "byteStride"))
+    mode, kind = str(extension.get("mode", "")), str(extension.get("filter", "NONE"))
+    problem = _wrong(mode, kind, count, stride)
+    if problem:
+        raise MeshError(f"{where}: a compressed buffer has {problem}; the file is broken")
+    if count == 0:
+        return b""
+    try:
+        from meshoptimizer import decoder
+    except ImportError as error:
+        raise MeshError(f"{where}: is compressed with {MESHOPT[0]}; install what reads it (pip install meshoptimizer)") from error
+    try:
+        if mode == "ATTRIBUTES":
+            array = decoder.decode_vertex_buffer(count, stride, data, np.dtype((np.void, stride)))
+            raw = array.view(np.uint8)
+            if kind != "NONE":
+                filters = {"OCTAHEDRAL": decoder.decode_filter_oct, "QUATERNION": decoder.decode_filter_quat}
+                raw = filters.get(kind, decoder.decode_filter_exp)(raw, count, stride)
+            return bytes(raw)
+        decode = decoder.decode_index_buffer if mode == "TRIANGLES" else decoder.decode_index_sequence
+        indices = decode(count, 4, data)
+    except (RuntimeError, ValueError) as error:
+        raise MeshError(f"{where}: a buffer compressed with {MESHOPT[0]} cannot be decoded; the file is cut or broken") from error
+    return bytes(indices.astype("<u2" if stride == 2 else "<u4"))
+
+
+def _wrong(mode: str, kind: str, count: int, stride: int) -> str:
+    """Returns what is wrong with the numbers of a compressed buffer, empty = nothing."""
+    if mode not in ("ATTRIBUTES", "TRIANGLES", "INDICES"):
+        return f"mode {quoted(mode)}"
+    if kind not in _FILTERS:
+        return f"filter {quoted(kind)}"
+    if count < 0 or count * stride > MAX_DECODED_BYTES:
+        return f"{count} elements of {stride} bytes"
+    if mode == "ATTRIBUTES":
+        fits = 0 < stride <= 256 and stride % 4 == 0 and (not _FILTERS[kind] or stride in _FILTERS[kind])
+    else:
+        fits = stride in (2, 4) and kind == "NONE" and (mode == "INDICES" or count % 3 == 0)
+    return "" if fits else f"{count} elements of {stride} bytes for mode {mode} and filter {kind}"

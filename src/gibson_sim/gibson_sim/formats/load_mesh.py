@@ -1,0 +1,251 @@
+"""Reads meshes and makes primitives: the one place that turns a ``Shape`` into triangles, for drawing, maps and physics alike.
+
+A ``MeshLoader`` reads each file and decodes each image once for as long as it lives; nothing is kept globally.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import struct
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from gibson_sim.description.shapes import Shape
+from gibson_sim.errors import MeshError, TextError
+from gibson_sim.formats.dae import load_dae
+from gibson_sim.formats.file_roots import bounded, is_inside, package_roots
+from gibson_sim.formats.gltf import load_gltf
+from gibson_sim.formats.mesh import F64, I64, LIGHT_GREY, Material, Mesh, MeshPart, TextureSource, UpAxis
+from gibson_sim.formats.obj import load_obj
+from gibson_sim.formats.ply import load_ply
+from gibson_sim.formats.stl import load_stl
+from gibson_sim.formats.textures import Decode, TextureStore
+from gibson_sim.geometry.triangles import areas_of
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import read_file
+
+_Maker = Callable[[float, float, float], tuple[F64, F64, F64, I64]]
+SEGMENTS = 48
+"""Corners of a circle."""
+
+
+@lru_cache(maxsize=256)
+def primitive_mesh(shape: Shape) -> Mesh:
+    """Returns a box, sphere or cylinder (about z), centred at the origin, metres."""
+    makers: dict[str, _Maker] = {"box": _box, "sphere": _sphere, "cylinder": _cylinder}
+    if shape.kind not in makers:
+        raise MeshError(f"shape {quoted(shape.kind)} is no primitive; known: {', '.join(makers)}")
+    needed = {"box": 3, "sphere": 1, "cylinder": 2}[shape.kind]
+    if not all(math.isfinite(s) and s > 0 for s in shape.size[:needed]):
+        raise MeshError(f"{shape.kind}: size is {tuple(shape.size)}, the first {needed} must be finite and above 0 (metres)")
+    vertices, normals, uvs, triangles = makers[shape.kind](*shape.size)
+    part = MeshPart(
+        vertices.astype(np.float32), normals.astype(np.float32), uvs.astype(np.float32), triangles.astype(np.uint32), Material()
+    )
+    return Mesh((part,))
+
+
+def _box(x: float, y: float, z: float) -> tuple[F64, F64, F64, I64]:
+    faces = []
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            normal = np.zeros(3)
+            normal[axis] = sign
+            right = np.array([0.0, 1.0, 0.0]) if axis == 0 else np.array([1.0, 0.0, 0.0])
+            up = np.cross(normal, right)
+            faces.append(np.stack([normal - right - up, normal + right - up, normal + right + up, normal - right + up]))
+    vertices = np.concatenate(faces) * np.array([x, y, z]) / 2
+    normals = np.repeat([np.eye(3)[k] * s for k in range(3) for s in (1.0, -1.0)], 4, axis=0)
+    uvs = np.tile([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]], (6, 1))
+    quads = np.arange(24).reshape(6, 4)
+    return vertices, normals, uvs, np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+
+
+def _circle() -> F64:
+    """Returns points around the unit circle, (SEGMENTS + 1, 2); the last one is the first, to the bit, so that what is closed has no gap."""
+    around = 2 * math.pi * (np.arange(SEGMENTS + 1) % SEGMENTS) / SEGMENTS
+    return np.column_stack([np.cos(around), np.sin(around)])
+
+
+def _grid(rows: int, columns: int) -> I64:
+    """Returns triangles (F, 3) of a grid of vertices, row by row, counter-clockwise where rows go down and columns right."""
+    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)[None, :]).ravel()
+    lower = corner + columns
+    return np.concatenate([np.stack([corner, lower, lower + 1], 1), np.stack([corner, lower + 1, corner + 1], 1)])
+
+
+def _sphere(radius: float, _y: float, _z: float) -> tuple[F64, F64, F64, I64]:
+    rings = SEGMENTS // 2
+    u, v = np.meshgrid(np.linspace(0, 1, SEGMENTS + 1), np.linspace(0, 1, rings + 1))
+    down = math.pi * v
+    level = np.sin(down)
+    level[-1] = 0.0  # sin(pi) is not quite
+    around = np.tile(_circle(), (rings + 1, 1))
+    normals = np.column_stack([level.ravel() * around[:, 0], level.ravel() * around[:, 1], np.cos(down).ravel()])
+    triangles = _grid(rings + 1, SEGMENTS + 1)
+    area = areas_of((radius * normals)[triangles])
+    # At the poles half of the triangles collapse to a line.
+    return radius * normals, normals, np.stack([u.ravel(), v.ravel()], 1), triangles[area > 5e-10 * radius * radius]
+
+
+def _cylinder(radius: float, length: float, _z: float) -> tuple[F64, F64, F64, I64]:
+    side = np.column_stack([_circle(), np.zeros(SEGMENTS + 1)])
+    ring = side * radius
+    up = np.array([0.0, 0.0, length / 2])
+    top, bottom = ring + up, ring - up
+    n = SEGMENTS + 1
+    k = np.arange(SEGMENTS)
+    vertices = np.concatenate([top, bottom, top, bottom, [[0, 0, length / 2], [0, 0, -length / 2]]])
+    z = np.array([[0.0, 0.0, 1.0]])
+    normals = np.concatenate([side, side, np.repeat(z, n, 0), np.repeat(-z, n, 0), z, -z])
+    disc = 0.5 + 0.5 * side[:, :2] * [1, -1]
+    strip = np.linspace(0, 1, n)
+    uvs = np.concatenate([np.stack([strip, 0 * strip], 1), np.stack([strip, 0 * strip + 1], 1), disc, disc, [[0.5, 0.5]] * 2])
+    upper = np.stack([np.full(SEGMENTS, 4 * n), 2 * n + k, 2 * n + k + 1], 1)
+    lower = np.stack([np.full(SEGMENTS, 4 * n + 1), 3 * n + k + 1, 3 * n + k], 1)
+    return vertices, normals, uvs, np.concatenate([_grid(2, n), upper, lower])
+
+
+__all__ = [
+    "LIGHT_GREY", "MESH_SUFFIXES", "Material", "Mesh", "MeshLoader", "MeshPart", "TextureSource",
+    "load_mesh", "load_shape", "primitive_mesh",
+]  # fmt: skip
+
+MESH_SUFFIXES = (".glb", ".gltf", ".obj", ".dae", ".stl", ".ply")
+"""Formats that can be read, lower case."""
+
+
+class MeshLoader:
+    """Reads meshes, each file once.
+
+    Args:
+        allowed_roots: folders that meshes must lie in, symbolic links followed; None = anywhere. Textures, materials and buffers that a
+            mesh names must lie in these folders or in its own package (``file_roots``), wherever the mesh lies.
+        textures: False = geometry only: textures are looked for, and warned about, but not decoded; "sizes" = black images of the
+            right size.
+        max_bytes: a larger mesh file is refused; None = any size.
+        max_parts: a glTF with more meshes in its nodes is refused; None = any number.
+    """
+
+    def __init__(
+        self,
+        allowed_roots: Sequence[Path] | None,
+        *,
+        textures: Decode = True,
+        max_bytes: int | None = None,
+        max_parts: int | None = None,
+    ) -> None:
+        self.roots = None if allowed_roots is None else tuple(allowed_roots)
+        self.max_bytes = max_bytes
+        self.max_parts = max_parts
+        self._textures = TextureStore((), textures)
+        self._meshes: dict[Path, Mesh] = {}
+
+    def mesh(self, path: Path) -> Mesh:
+        """Returns the mesh in a file, in its own frame, z up, metres.
+
+        Raises:
+            MeshError: the file is missing, outside the allowed folders, of an unknown format or broken.
+        """
+        real = Path(os.path.realpath(path))
+        if real not in self._meshes:
+            self._meshes[real] = self._read(Path(path), real)
+        return self._meshes[real]
+
+    def image_bytes(self, texture: TextureSource) -> bytes:
+        """Returns the image file of a texture of a mesh from here; the loader's ``textures`` must be "sizes"."""
+        return self._textures.encoded(texture)
+
+    def shape(self, shape: Shape) -> Mesh:
+        """Returns the triangles of a shape: its mesh file under its scale, or the primitive."""
+        if shape.kind != "mesh":
+            return primitive_mesh(shape)
+        mesh = self.mesh(Path(shape.mesh))
+        if tuple(shape.size) == (1.0, 1.0, 1.0):
+            return mesh
+        if not (np.isfinite(shape.size).all() and all(shape.size)):
+            raise MeshError(f"{shape.mesh}: scale is {tuple(shape.size)}, the three factors must be finite and not 0")
+        return mesh.transformed(np.diag([*shape.size, 1.0]))
+
+    def _read(self, path: Path, real: Path) -> Mesh:
+        if self.roots is not None and not is_inside(real, self.roots):
+            raise MeshError(f"{path}: lies outside {', '.join(map(str, self.roots))}; move it into the scene's folder")
+        try:
+            data = read_file(real, self.max_bytes or sys.maxsize - 1)
+        except OSError as e:
+            raise MeshError(f"{path}: cannot be read: {e.strerror or e}") from e
+        if not data:
+            raise MeshError(f"{path}: the file is empty")
+        try:
+            mesh = self._parse(path, real, data)
+        except MeshError:
+            raise
+        except TextError as e:
+            raise MeshError(f"{path}: {e}").telling(e.public) from e
+        # A broken file makes any of these fly out of a parser; all mean the same to the user.
+        except (
+            ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, RecursionError, MemoryError,
+            OSError, struct.error, json.JSONDecodeError,
+        ) as e:  # fmt: skip
+            raise MeshError(f"{path}: is not a readable {path.suffix.lower()} file: {type(e).__name__}: {_one_line(e)}") from e
+        if not mesh.parts:
+            raise MeshError(f"{path}: has no triangles")
+        return mesh
+
+    def _parse(self, path: Path, real: Path, data: bytes) -> Mesh:
+        suffix = path.suffix.lower()
+        warnings: list[str] = []
+        files = [real]
+        textures = self._textures.within(bounded((*package_roots(path), *(self.roots or ()))))
+
+        def warn(text: str) -> None:
+            if text not in warnings:
+                warnings.append(text)
+
+        up_axis: UpAxis = "z"
+        unit_m = 1.0
+        if suffix in (".glb", ".gltf"):
+            parts = load_gltf(path, data, textures, files, warn, self.max_parts)
+            up_axis = "y"
+        elif suffix == ".obj":
+            parts = load_obj(path, data, textures, files, warn)
+        elif suffix == ".dae":
+            parts, up_axis, unit_m = load_dae(path, data, textures, files, warn)
+        elif suffix == ".stl":
+            parts = load_stl(path, data)
+        elif suffix == ".ply":
+            parts = load_ply(path, data, textures, files, warn)
+        else:
+            raise MeshError(
+                f"{path}: {quoted(suffix or 'no suffix')} is not a mesh format that can be read; known: {', '.join(MESH_SUFFIXES)}"
+            )
+        return Mesh(tuple(parts), tuple(warnings), tuple(files), up_axis, unit_m)
+
+
+def load_mesh(path: Path, allowed_roots: Sequence[Path]) -> Mesh:
+    """Returns the mesh in a glTF, GLB, OBJ, DAE, STL or PLY file, z up, metres. For several files use one ``MeshLoader``."""
+    return MeshLoader(allowed_roots).mesh(path)
+
+
+def load_shape(shape: Shape, allowed_roots: Sequence[Path] | None = None) -> Mesh:
+    """Returns the triangles of a shape. For several shapes use one ``MeshLoader``. No ``allowed_roots``: the mesh was checked already."""
+    return MeshLoader(mesh_folders([shape]) if allowed_roots is None else allowed_roots).shape(shape)
+
+
+def mesh_folders(shapes: Iterable[Shape]) -> tuple[Path, ...]:
+    """Returns the folders that hold the mesh files of shapes, for a ``MeshLoader`` of files that were checked already.
+
+    Where a file is a link, as in an installation that is made of links, these are the link's folder and the one that it leads to.
+    """
+    files = {Path(shape.mesh) for shape in shapes if shape.kind == "mesh"}
+    return tuple(sorted({folder for file in files for folder in (file.parent, Path(os.path.realpath(file)).parent)}))
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:200]

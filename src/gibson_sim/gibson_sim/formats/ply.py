@@ -1,0 +1,329 @@
+"""Reads PLY, text and binary: triangles and polygons with normals, colours of vertices or a texture. Metres, z up are assumed.
+
+Format: http://paulbourke.net/dataformats/ply/. Colours of vertices come from scans, with the light of the room in them, so these surfaces
+are drawn as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import MeshError
+from gibson_sim.formats.mesh import F64, I64, Material, MeshPart, build_part, fan, index_corners
+from gibson_sim.formats.textures import TextureStore, Warn
+from gibson_sim.quoting import quoted
+
+_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
+    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+_MAX_HEADER = 64 * 1024
+_INDICES = ("vertex_indices", "vertex_index")
+_UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
+
+POINT_CLOUD_ADVICE = (
+    "is a point cloud: there are no triangles to draw or to collide with. Make a mesh of it first, for example with MeshLab "
+    "(Filters > Remeshing > Screened Poisson), CloudCompare (Plugins > PoissonRecon) or Open3D "
+    "(TriangleMesh.create_from_point_cloud_poisson), and import that"
+)
+"""What to do with points, after the name of the file."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Property:
+    name: str
+    kind: str
+    count_kind: str = ""
+    """Of a list: type of its length."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Element:
+    name: str
+    count: int
+    properties: tuple[_Property, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ply:
+    """What a PLY file holds, as it stands there."""
+
+    vertex: Mapping[str, NDArray[Any]]
+    """Each (V,), by name of the property."""
+    corners: I64
+    """(C,): the vertices of all polygons, one polygon after the other."""
+    sizes: I64
+    """(P,): corners of each polygon."""
+    face: Mapping[str, NDArray[Any]]
+    """Each (P,), by name of the property; not the lists."""
+    corner_uvs: F64 | None
+    """(C, 2), v upwards, or None."""
+    texture: str
+    """Name of the image, or empty."""
+
+    @property
+    def positions(self) -> F64:
+        """(V, 3)."""
+        return np.stack([np.asarray(self.vertex[axis], dtype=np.float64) for axis in "xyz"], axis=1)
+
+    @property
+    def colors(self) -> NDArray[np.uint8] | None:
+        """(V, 3) sRGB, or None."""
+        names = next((n for n in (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
+                      if all(k in self.vertex for k in n)), None)  # fmt: skip
+        if names is None:
+            return None
+        values = np.stack([np.asarray(self.vertex[k]) for k in names], axis=1)
+        if values.dtype.kind == "f":
+            values = np.rint(np.clip(np.nan_to_num(values), 0.0, 1.0) * 255.0)
+        elif values.dtype.itemsize == 2:
+            values = values // 257
+        return np.asarray(np.clip(values, 0, 255), dtype=np.uint8)
+
+    @property
+    def polygon_of_triangle(self) -> I64:
+        """(F,): the polygon that each row of ``fan(sizes)`` comes from."""
+        return np.repeat(np.arange(len(self.sizes)), np.maximum(self.sizes - 2, 0))
+
+
+def load_ply(path: Path, data: bytes, textures: TextureStore, files: list[Path], warn: Warn) -> list[MeshPart]:
+    """Returns the triangles of a PLY file as one part."""
+    ply = read_ply(path, data)
+    part = ply_part(str(path), ply, fan(ply.sizes), _material(path, ply, textures, files, warn))
+    return [] if part is None else [part]
+
+
+def ply_part(what: str, ply: Ply, corner_triangles: I64, material: Material | None = None) -> MeshPart | None:
+    """Returns some of the triangles as a part, or None if there are none.
+
+    Args:
+        what: the file, for messages.
+        ply: all of it.
+        corner_triangles: (F, 3) rows of ``ply.corners``.
+        material: None = the colours of the vertices.
+    """
+    triangles = ply.corners[corner_triangles]
+    uvs, rows = _uvs(ply), None
+    if ply.corner_uvs is not None:
+        # A vertex on a seam of the texture has several coordinates.
+        used = corner_triangles.ravel()
+        keys = np.rint(np.clip(np.nan_to_num(ply.corner_uvs[used]), -1e6, 1e6) * 65536.0).astype(np.int64)
+        first, inverse = index_corners(ply.corners[used], keys[:, 0], keys[:, 1])
+        rows, triangles, uvs = ply.corners[used][first], inverse.reshape(-1, 3), ply.corner_uvs[used][first]
+    if len(triangles) and (triangles.min() < 0 or (rows is None and triangles.max() >= len(ply.vertex["x"]))):
+        raise MeshError(f"{what}: a face names a vertex that is not there; there are {len(ply.vertex['x'])}; the file is broken")
+    take = slice(None) if rows is None else rows
+    normals = None
+    if all(k in ply.vertex for k in ("nx", "ny", "nz")):
+        normals = np.stack([np.asarray(ply.vertex[k], dtype=np.float64) for k in ("nx", "ny", "nz")], axis=1)[take]
+    colors = ply.colors
+    if uvs is not None:
+        uvs = np.stack([uvs[:, 0], 1.0 - uvs[:, 1]], axis=1)
+    used_material = material or Material("vertex colours", (1.0, 1.0, 1.0, 1.0), unlit=True)
+    return build_part(
+        what, ply.positions[take], triangles, normals, uvs, used_material, None, None if colors is None else colors[take]
+    )
+
+
+def read_ply(path: Path, data: bytes) -> Ply:
+    """Returns what is in a PLY file.
+
+    Raises:
+        MeshError: it is broken, cut, or a point cloud.
+    """
+    binary, elements, texture, at = _header(path, data)
+    tables: dict[str, dict[str, Any]] = {}
+    words = None if binary else data[at:].split()
+    position = 0
+    for element in elements:
+        if words is None:
+            tables[element.name], at = _binary_table(path, element, data, at, binary)
+        else:
+            tables[element.name], position = _text_table(path, element, words, position)
+    vertex = tables.get("vertex", {})
+    if not all(axis in vertex for axis in "xyz"):
+        raise MeshError(f"{path}: has no vertices with x, y and z; is it a mesh?")
+    face = tables.get("face", {})
+    lists = next((face[name] for name in _INDICES if name in face), None)
+    if lists is None or not len(lists[1]):
+        raise MeshError(f"{path}: {POINT_CLOUD_ADVICE} ({len(vertex['x'])} points)")
+    corners, sizes = np.asarray(lists[0], dtype=np.int64), np.asarray(lists[1], dtype=np.int64)
+    if len(corners) and (corners.min() < 0 or corners.max() >= len(vertex["x"])):
+        wrong = int(corners.min() if corners.min() < 0 else corners.max())
+        raise MeshError(
+            f"{path}: a face names vertex {wrong}, but there are {len(vertex['x'])}; the file is broken, export it again"
+        )
+    corner_uvs = None
+    if "texcoord" in face and np.array_equal(face["texcoord"][1], 2 * sizes):
+        corner_uvs = np.asarray(face["texcoord"][0], dtype=np.float64).reshape(-1, 2)
+    plain = {name: values for name, values in face.items() if not isinstance(values, tuple)}
+    return Ply(vertex, corners, sizes, plain, corner_uvs, texture)
+
+
+def _material(path: Path, ply: Ply, textures: TextureStore, files: list[Path], warn: Warn) -> Material | None:
+    if ply.texture and (ply.corner_uvs is not None or _uvs(ply) is not None):
+        texture = textures.from_uri(ply.texture, path, files, warn)
+        if texture is not None or not textures.decode:
+            return Material("texture", (1.0, 1.0, 1.0, 1.0), texture, unlit=True)
+    return None if ply.colors is not None else Material()
+
+
+def _uvs(ply: Ply) -> F64 | None:
+    names = next((n for n in _UV_NAMES if all(k in ply.vertex for k in n)), None)
+    return None if names is None else np.stack([np.asarray(ply.vertex[k], dtype=np.float64) for k in names], axis=1)
+
+
+def _header(path: Path, data: bytes) -> tuple[str, list[_Element], str, int]:
+    """Returns the byte order ("" = text), the elements, the name of a texture, and where the content begins."""
+    if not data.startswith(b"ply"):
+        raise MeshError(f"{path}: is not a PLY file (it starts with {quoted(data[:4])}, must be b'ply')")
+    end = data.find(b"end_header", 0, _MAX_HEADER)
+    line_end = data.find(b"\n", end)
+    if end < 0 or line_end < 0:
+        raise MeshError(f"{path}: the header of the PLY has no end_header; the file is cut or broken")
+    order: str | None = None
+    elements: list[_Element] = []
+    texture = ""
+    for line in data[:end].decode("ascii", errors="replace").splitlines():
+        words = line.split()
+        if words[:1] == ["format"] and len(words) > 1:
+            order = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}.get(words[1])
+        elif words[:2] == ["comment", "TextureFile"]:
+            texture = line.split("TextureFile", 1)[1].strip()
+        elif words[:1] == ["element"] and len(words) == 3 and words[2].isdigit():
+            elements.append(_Element(words[1], int(words[2]), ()))
+        elif words[:1] == ["property"] and elements:
+            elements[-1] = _with_property(path, elements[-1], words[1:])
+    if order is None:
+        raise MeshError(
+            f"{path}: the header names no format that is known; known: ascii, binary_little_endian, binary_big_endian"
+        )
+    return order, elements, texture, line_end + 1
+
+
+def _with_property(path: Path, element: _Element, words: list[str]) -> _Element:
+    kinds = words[1:3] if words[0] == "list" else words[:1]
+    unknown = [kind for kind in kinds if kind not in _TYPES]
+    if unknown or len(words) < 2:
+        raise MeshError(f"{path}: property {quoted(' '.join(words))} of {element.name} is of an unknown type; the PLY is broken")
+    added = _Property(words[-1], _TYPES[kinds[-1]], _TYPES[kinds[0]] if words[0] == "list" else "")
+    return _Element(element.name, element.count, (*element.properties, added))
+
+
+def _binary_table(path: Path, element: _Element, data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
+    lists = [p for p in element.properties if p.count_kind]
+    # Most files have triangles alone, or quads alone: then all rows are alike, and are read at once.
+    sizes = _first_sizes(element, data, at, order) if lists and element.count else [0] * len(lists)
+    dtype = _row_type(element, sizes, order)
+    needed = element.count * dtype.itemsize
+    alike = at + needed <= len(data)
+    if alike:
+        rows = np.frombuffer(data, dtype=dtype, count=element.count, offset=at)
+        alike = all((rows[f"{p.name} n"] == size).all() for p, size in zip(lists, sizes, strict=True))
+    if alike:
+        table: dict[str, Any] = {p.name: rows[p.name] for p in element.properties if not p.count_kind}
+        for p, size in zip(lists, sizes, strict=True):
+            table[p.name] = (rows[p.name].ravel(), np.full(element.count, size, dtype=np.int64))
+        return table, at + needed
+    least = element.count * _row_type(element, [0] * len(lists), order).itemsize
+    if not lists or at + least > len(data):
+        raise MeshError(f"{path}: {element.count} rows of {element.name} do not fit into {len(data)} bytes; the file is cut")
+    return _uneven_table(path, element, data, at, order)
+
+
+def _first_sizes(element: _Element, data: bytes, at: int, order: str) -> list[int]:
+    sizes = []
+    for p in element.properties:
+        width = np.dtype(p.kind).itemsize
+        if p.count_kind:
+            kind = np.dtype(order + p.count_kind)
+            size = int(np.frombuffer(data, kind, 1, at)[0]) if at + kind.itemsize <= len(data) else 0
+            sizes.append(min(max(size, 0), 255))
+            at += kind.itemsize + sizes[-1] * width
+        else:
+            at += width
+    return sizes
+
+
+def _row_type(element: _Element, sizes: list[int], order: str) -> np.dtype[Any]:
+    fields: list[Any] = []
+    left = iter(sizes)
+    for p in element.properties:
+        if p.count_kind:
+            fields += [(f"{p.name} n", order + p.count_kind), (p.name, order + p.kind, (next(left),))]
+        else:
+            fields.append((p.name, order + p.kind))
+    return np.dtype(fields)
+
+
+def _uneven_table(path: Path, element: _Element, data: bytes, at: int, order: str) -> tuple[dict[str, Any], int]:
+    """Reads rows of different lengths one by one."""
+    kinds = [(p, np.dtype(order + p.kind), np.dtype(order + p.count_kind) if p.count_kind else None) for p in element.properties]
+    sizes: dict[str, list[int]] = {p.name: [] for p in element.properties}
+    pieces: dict[str, list[bytes]] = {p.name: [] for p in element.properties}
+    byte_order = "little" if order == "<" else "big"
+    for _ in range(element.count):
+        for p, kind, count_kind in kinds:
+            size = 1
+            if count_kind is not None:
+                size = int.from_bytes(data[at : at + count_kind.itemsize], byte_order)  # type: ignore[arg-type]
+                at += count_kind.itemsize
+            if at + size * kind.itemsize > len(data):
+                raise MeshError(f"{path}: ends in the middle of {element.name}; the file is cut")
+            sizes[p.name].append(size)
+            pieces[p.name].append(data[at : at + size * kind.itemsize])
+            at += size * kind.itemsize
+    table: dict[str, Any] = {}
+    for p, kind, count_kind in kinds:
+        values = np.frombuffer(b"".join(pieces[p.name]), dtype=kind)
+        table[p.name] = values if count_kind is None else (values, np.array(sizes[p.name], dtype=np.int64))
+    return table, at
+
+
+def _as_kind(path: Path, what: str, column: NDArray[np.float64], kind: np.dtype[Any]) -> NDArray[Any]:
+    """Returns numbers of a text file as the type that its header names.
+
+    Raises:
+        MeshError: a whole number does not fit into it.
+    """
+    if kind.kind in "iu" and len(column):
+        limits = np.iinfo(kind)
+        beyond = ~((column >= limits.min) & (column <= limits.max))
+        if beyond.any():
+            raise MeshError(f"{path}: {quoted(what)} is {column[beyond][0]:g}, must be {limits.min} to {limits.max}")
+    with np.errstate(over="ignore"):  # what is too large for single precision is infinite, and refused as such where it matters
+        return column.astype(kind)
+
+
+def _text_table(path: Path, element: _Element, words: list[bytes], at: int) -> tuple[dict[str, Any], int]:
+    lists = any(p.count_kind for p in element.properties)
+    width = len(element.properties)
+    if len(words) - at < element.count * width:
+        raise MeshError(f"{path}: ends in the middle of {element.name}; the file is cut")
+    if not lists:
+        values = np.array(words[at : at + element.count * width], dtype=np.float64).reshape(element.count, width)
+        table = {p.name: _as_kind(path, p.name, values[:, k], np.dtype(p.kind)) for k, p in enumerate(element.properties)}
+        return table, at + element.count * width
+    out: dict[str, Any] = {p.name: [] for p in element.properties}
+    sizes: dict[str, list[int]] = {p.name: [] for p in element.properties}
+    for _ in range(element.count):
+        for p in element.properties:
+            size = 1
+            if p.count_kind:
+                size, at = (int(words[at]) if at < len(words) else -1), at + 1
+            if size < 0 or at + size > len(words):
+                raise MeshError(f"{path}: ends in the middle of {element.name}; the file is cut")
+            out[p.name] += words[at : at + size]
+            sizes[p.name].append(size)
+            at += size
+    done: dict[str, Any] = {}
+    for p in element.properties:
+        column = _as_kind(path, p.name, np.array(out[p.name], dtype=np.float64), np.dtype(p.kind))
+        done[p.name] = (column, np.array(sizes[p.name], dtype=np.int64)) if p.count_kind else column
+    return done, at

@@ -1,0 +1,194 @@
+"""Finds and decodes the images that meshes name, each once, and only inside the folders that are allowed."""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal
+from urllib.parse import unquote
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.description.omissions import Omission, OmissionKind
+from gibson_sim.errors import MeshError
+from gibson_sim.formats.file_roots import in_any_case, is_inside
+from gibson_sim.formats.image_header import MAX_IMAGE_BYTES, MAX_PIXELS, image_size
+from gibson_sim.formats.mesh import TextureSource
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import is_file, is_folder, read_file
+
+Warn = Callable[[str], None]
+Decode = bool | Literal["sizes"]
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".tif", ".tiff", ".webp", ".gif", ".ppm")
+_LEVELS_UP = 3
+"""Folders above a mesh beside which textures are looked for."""
+
+
+def local_path(uri: str, folder: Path) -> Path:
+    r"""Returns the path that a reference in a mesh file means: percent-decoded, ``\`` as ``/``, ``file://`` dropped."""
+    text = unquote(uri.strip()).replace("\\", "/")
+    if text.lower().startswith("file://"):
+        text = text[7:]
+    return folder / text
+
+
+class TextureStore:
+    """Decodes each image once for as long as it lives.
+
+    Args:
+        roots: folders that images may lie in.
+        decode: False = only check that they are there, for users of geometry alone; "sizes" = black images of the size that their
+            headers say, which take no memory.
+    """
+
+    def __init__(self, roots: Sequence[Path], decode: Decode = True) -> None:
+        self.roots = tuple(roots)
+        self.decode = decode
+        self._by_file: dict[Path, TextureSource | None] = {}
+        self._encoded: dict[int, tuple[TextureSource, bytes]] = {}
+
+    def within(self, roots: Sequence[Path]) -> TextureStore:
+        """Returns this store, with all that it has decoded, for files that may name images in other folders."""
+        other = copy.copy(self)
+        other.roots = tuple(roots)
+        return other
+
+    def from_uri(self, uri: str, mesh: Path, files: list[Path], warn: Warn, *, search: bool = True) -> TextureSource | None:
+        """Returns the image that ``mesh`` names, or None after a warning; with ``decode`` off always None.
+
+        Args:
+            uri: the reference, relative to the mesh.
+            mesh: the mesh file.
+            files: gets the path of the image.
+            warn: takes one line on what is wrong.
+            search: look in the usual folders near the mesh if it is not where it should be.
+
+        Raises:
+            MeshError: the image has more than ``MAX_PIXELS``.
+        """
+        wanted = local_path(uri, mesh.parent)
+        path = wanted if is_file(wanted) else (self._nearby(wanted, mesh) if search else None)
+        if not is_inside(path or wanted, self.roots):
+            text = (
+                f"{mesh}: texture {quoted(uri)} lies outside the folder of the mesh and of its model; it is not read, "
+                "put it beside the mesh"
+            )
+            warn(Omission(text, OmissionKind.UNSUPPORTED_ASSET))
+            return None
+        if path is None:
+            text = f"{mesh}: texture {wanted.name} is missing (looked at {wanted}); the surface is drawn without it"
+            warn(Omission(text, OmissionKind.MISSING_ASSET))
+            return None
+        if path != wanted and path.name.lower() != wanted.name.lower():
+            warn(f"{mesh}: texture {wanted.name} is missing; used {path.name}, the only image beside the mesh")
+        path = Path(os.path.realpath(path))
+        if path not in files:
+            files.append(path)
+        if not self.decode:
+            return None
+        if path not in self._by_file:
+            try:
+                pixels = self._pixels(str(path), read_file(path, MAX_IMAGE_BYTES))
+            except OSError:
+                pixels = None
+            self._by_file[path] = None if pixels is None else TextureSource(str(path), pixels)
+        if self._by_file[path] is None:
+            text = f"{mesh}: texture {path.name} cannot be decoded ({path}); the surface is drawn without it"
+            warn(Omission(text, OmissionKind.UNSUPPORTED_ASSET))
+        return self._by_file[path]
+
+    def from_bytes(self, name: str, data: bytes, warn: Warn) -> TextureSource | None:
+        """Returns the image in ``data``, the bytes of an image file, or None after a warning.
+
+        Raises:
+            MeshError: the image has more than ``MAX_PIXELS``.
+        """
+        if not self.decode:
+            return None
+        pixels = self._pixels(name, data)
+        if pixels is None:
+            warn(f"{name} cannot be decoded ({len(data)} bytes); the surface is drawn without it")
+            return None
+        source = TextureSource(name, pixels)
+        if self.decode == "sizes":
+            self._encoded[id(source)] = (source, data)
+        return source
+
+    def encoded(self, texture: TextureSource) -> bytes:
+        """Returns the image file of a texture that came from here with ``decode`` "sizes".
+
+        Raises:
+            OSError: it cannot be read any more.
+        """
+        return self._encoded[id(texture)][1] if id(texture) in self._encoded else Path(texture.name).read_bytes()
+
+    def _pixels(self, name: str, data: bytes) -> NDArray[np.uint8] | None:
+        """Returns what ``decode_image`` does, as far as it is wanted."""
+        size = image_size(data)
+        if self.decode == "sizes":
+            black = np.zeros((1, 1, 1), dtype=np.uint8)
+            return None if size is None else np.broadcast_to(black, (size.height, size.width, size.channels))
+        if size is None:
+            return None
+        if size.pixels > MAX_PIXELS:
+            raise MeshError(
+                f"{name}: has {size.width} x {size.height} pixels, {size.decoded_bytes / 2**20:.0f} MB in memory; "
+                f"at most {MAX_PIXELS // 2**20} million pixels are read. Scale it down: gibson-sim scene check SCENE --fix --output FOLDER"
+            )
+        return decode_image(data)
+
+    def _nearby(self, wanted: Path, mesh: Path) -> Path | None:
+        """Returns an image of the wanted name in the usual folders near the mesh, else the only image beside the mesh."""
+        here = mesh.parent
+        # `meshes/` beside `materials/textures/`, as Gazebo has it, also where meshes lie in folders of their own below that.
+        above = [place for place in here.parents[:_LEVELS_UP] if is_inside(place, self.roots)]
+        beside = [folder for place in above for folder in (place / "textures", place / "materials" / "textures")]
+        for folder in map(in_any_case, (wanted.parent, here, here / "textures", *beside)):
+            if not (is_folder(folder) and is_inside(folder, self.roots)):
+                continue
+            for entry in sorted(folder.iterdir()):
+                if entry.name.lower() == wanted.name.lower() and is_file(entry):
+                    return entry
+        images = [p for p in sorted(here.iterdir()) if p.suffix.lower() in IMAGE_SUFFIXES and is_file(p)]
+        # Scans come as one mesh and one image, and the image is the file that gets renamed.
+        return images[0] if len(images) == 1 and mesh.suffix.lower() == ".obj" else None
+
+
+def decode_pixels(data: bytes, flags: int) -> NDArray[Any] | None:
+    """Returns what OpenCV makes of an image file's bytes, or None if they are none, or hold more than ``MAX_PIXELS``.
+
+    A few KB of PNG may stand for gigabytes: its header is read first.
+
+    Args:
+        data: of a file, or of a message.
+        flags: ``cv2.IMREAD_...``.
+    """
+    size = image_size(data)
+    if size is None or size.pixels > MAX_PIXELS:
+        return None
+    try:
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), flags)
+    except cv2.error:
+        return None
+    return None if image is None else np.asarray(image)
+
+
+def decode_image(data: bytes) -> NDArray[np.uint8] | None:
+    """Returns (H, W, 3) RGB or (H, W, 4) RGBA uint8 of an image file's bytes, or None if they are none."""
+    image = decode_pixels(data, cv2.IMREAD_UNCHANGED)
+    if image is None:
+        return None
+    if image.dtype == np.uint16:
+        image = (image // 257).astype(np.uint8)
+    elif image.dtype != np.uint8:
+        image = np.clip(image * 255.0, 0, 255).astype(np.uint8)
+    if image.ndim == 2 or image.shape[2] == 1:
+        return np.repeat(image.reshape(*image.shape[:2], 1), 3, axis=2)
+    if image.shape[2] == 2:
+        return np.concatenate([np.repeat(image[:, :, :1], 3, axis=2), image[:, :, 1:]], axis=2)
+    code = cv2.COLOR_BGRA2RGBA if image.shape[2] == 4 else cv2.COLOR_BGR2RGB
+    return np.asarray(cv2.cvtColor(image, code), dtype=np.uint8)

@@ -1,7 +1,0 @@
-"""Plans of buildings: from a kind and a seed to rooms, furniture and lamps. Pure; see docs/making_scenes.md."""
-
-from gibson_sim.making.planning.checks import check_building
-from gibson_sim.making.planning.drawing import draw_plan
-from gibson_sim.making.planning.planner import plan_building
-
-__all__ = ["check_building", "draw_plan", "plan_building"]

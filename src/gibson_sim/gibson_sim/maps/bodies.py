@@ -1,0 +1,87 @@
+"""The movable things of a scene where they stand at load: what they take up, and how they look."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from gibson_sim.description.body import BodySpec
+from gibson_sim.description.shapes import Shape, VisualSpec
+from gibson_sim.description.urdf import UrdfJoint
+from gibson_sim.formats.load_mesh import MeshLoader, mesh_folders
+from gibson_sim.formats.mesh import merge
+from gibson_sim.geometry.transforms import Mat4, matrix_from_pose, pose_from_matrix, transform_points
+from gibson_sim.scenes.spec import SceneSpec
+
+F64 = NDArray[np.float64]
+Triangles = tuple[F64, NDArray[np.int32]]
+
+
+def body_triangles(scene: SceneSpec) -> Triangles:
+    """Returns vertices (V, 3), world frame, metres, and triangles (F, 3) of the collision shapes of all bodies; meshes as their hulls."""
+    shapes = [c.shape for body in scene.bodies for link in body.model.links for c in link.collisions]
+    # Whoever loaded the bodies has checked each path already.
+    loader = MeshLoader(mesh_folders(shapes), textures=False)
+    known: dict[Shape, Triangles] = {}
+    parts: list[Triangles] = []
+    for body in scene.bodies:
+        places = link_transforms(body)
+        for link in body.model.links:
+            for collision in link.collisions:
+                if collision.shape not in known:
+                    known[collision.shape] = _solid(loader, collision.shape)
+                vertices, triangles = known[collision.shape]
+                parts.append((transform_points(places[link.name] @ matrix_from_pose(collision.pose), vertices), triangles))
+    return merge(parts)
+
+
+def still_visuals(scene: SceneSpec) -> tuple[VisualSpec, ...]:
+    """Returns everything that is drawn but robots, bodies where they stand at load, as if all were part of the building."""
+    out = list(scene.visuals)
+    for body in scene.bodies:
+        places = link_transforms(body)
+        for visual in body.visuals:
+            link = visual.link.removeprefix(f"{body.name}/")
+            out.append(replace(visual, link="", pose=pose_from_matrix(places[link] @ matrix_from_pose(visual.pose))))
+    return tuple(out)
+
+
+def link_transforms(body: BodySpec) -> dict[str, Mat4]:
+    """Returns T_world_link, (4, 4), of every link of a body at load."""
+    positions = dict(body.joints)
+    by_child = {joint.child: joint for joint in body.model.joints}
+    out = {body.model.root: matrix_from_pose(body.start)}
+    for link in body.model.links[1:]:
+        joint = by_child[link.name]
+        out[link.name] = out[joint.parent] @ matrix_from_pose(joint.pose) @ _moved(joint, positions.get(joint.name, 0.0))
+    return out
+
+
+def _moved(joint: UrdfJoint, position: float) -> Mat4:
+    """Returns the motion (4, 4) of a joint's child at a position, radians or metres."""
+    out = np.eye(4)
+    axis = np.asarray(joint.axis, dtype=np.float64)
+    if joint.kind == "prismatic":
+        out[:3, 3] = axis * position
+    elif position:
+        across = np.cross(np.eye(3), axis)
+        out[:3, :3] += math.sin(position) * across + (1.0 - math.cos(position)) * across @ across
+    return out
+
+
+def _solid(loader: MeshLoader, shape: Shape) -> Triangles:
+    vertices, triangles = loader.shape(shape).merged()
+    if shape.kind != "mesh":
+        return vertices, triangles
+    try:
+        hull = ConvexHull(vertices)
+    except (QhullError, ValueError):  # flat, or hardly any corners
+        return vertices, triangles
+    # Qhull gives the corners of a triangle in any order, but its outward normal too.
+    a, b, c = (vertices[hull.simplices[:, k]] for k in range(3))
+    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    return vertices, np.where(inwards[:, None], hull.simplices[:, ::-1], hull.simplices).astype(np.int32)

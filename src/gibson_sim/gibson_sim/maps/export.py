@@ -1,0 +1,118 @@
+"""Writes floor maps to files: for Nav2's map server, in the layout of Gibson's scenes, and as pictures to look at."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from gibson_sim.errors import SceneError
+from gibson_sim.maps.floor_map import FloorMap
+from gibson_sim.writing import write_file
+
+Bytes = NDArray[np.uint8]
+
+OCCUPIED, UNKNOWN, FREE = 0, 205, 254
+"""Grey values that Nav2's map server writes and reads in its mode "trinary"."""
+FLOORS = "floors.txt"
+"""File with the heights of all floors, as Gibson's scenes have it."""
+GIBSON_RESOLUTION = 0.01
+"""Metres for each pixel of ``floor_trav_N.png``."""
+_MOST_PIXELS = 12_000
+_COLOURS = {"unknown": (236, 239, 241), "occupied": (38, 50, 56), "free": (200, 230, 201), "near": (255, 224, 130)}
+
+
+def write_nav2_map(floor: FloorMap, path: Path) -> tuple[Path, Path]:
+    """Writes ``<path>.pgm`` and ``<path>.yaml`` for Nav2's map server and returns both.
+
+    The format: https://docs.nav2.org/configuration/packages/configuring-map-server.html and ``nav2_map_server/map_io``.
+
+    Raises:
+        SceneError: a file cannot be written.
+    """
+    picture = np.full(floor.shape, UNKNOWN, dtype=np.uint8)
+    picture[floor.occupied] = OCCUPIED
+    picture[floor.free] = FREE
+    image, description = path.with_name(f"{path.name}.pgm"), path.with_name(f"{path.name}.yaml")
+    # Row 0 of the picture is the highest y.
+    rows, columns = floor.shape
+    write_file(image, f"P5\n{columns} {rows}\n255\n".encode() + np.ascontiguousarray(picture[::-1]).tobytes())
+    meta = {
+        "image": image.name,
+        "mode": "trinary",
+        "resolution": round(floor.resolution, 9),
+        "origin": [round(floor.origin[0], 9), round(floor.origin[1], 9), 0.0],
+        "negate": 0,
+        "occupied_thresh": 0.65,
+        "free_thresh": 0.25,
+    }
+    write_file(description, yaml.safe_dump(meta, sort_keys=False, default_flow_style=None).encode())
+    return image, description
+
+
+def write_gibson_maps(floors: Sequence[FloorMap], folder: Path) -> tuple[Path, ...]:
+    """Writes ``floor_trav_N.png`` (255 = free) of every floor and ``floors.txt`` (heights), and returns their paths.
+
+    A pixel is 1 cm; the middle of the square picture is the world's origin; rows go along y, columns along x.
+
+    Raises:
+        SceneError: a file cannot be written, or a floor lies farther than 60 m from the origin.
+    """
+    paths = []
+    for number, floor in enumerate(floors):
+        paths.append(folder / f"floor_trav_{number}.png")
+        write_file(paths[-1], _png(_gibson_picture(floor)))
+    paths.append(folder / FLOORS)
+    write_file(paths[-1], "".join(f"{floor.floor_z:g}\n" for floor in floors).encode())
+    return tuple(paths)
+
+
+def write_picture(floor: FloorMap, path: Path, radius: float, *, pixels: int = 3) -> None:
+    """Writes a PNG to look at: green where a robot's centre can be, yellow where it would touch something, dark obstacles.
+
+    Args:
+        floor: the map.
+        path: the PNG.
+        radius: of the robot, metres.
+        pixels: edge of a cell.
+
+    Raises:
+        SceneError: it cannot be written.
+    """
+    picture = np.empty((*floor.shape, 3), dtype=np.uint8)
+    picture[:] = _COLOURS["unknown"]
+    picture[floor.occupied] = _COLOURS["occupied"]
+    picture[floor.free] = _COLOURS["near"]
+    picture[floor.inflate(radius)] = _COLOURS["free"]
+    large = np.repeat(np.repeat(picture[::-1, :, ::-1], pixels, axis=0), pixels, axis=1)
+    write_file(path, _png(large))
+
+
+def _gibson_picture(floor: FloorMap) -> Bytes:
+    """Returns the square picture of a floor, (N, N) uint8."""
+    rows, columns = floor.shape
+    x, y = floor.origin
+    half = max(abs(x), abs(y), abs(x + columns * floor.resolution), abs(y + rows * floor.resolution))
+    size = 2 * int(np.ceil(half / GIBSON_RESOLUTION - 1e-6))
+    if size > _MOST_PIXELS:
+        raise SceneError(
+            f"the floor reaches {half:.0f} m from the origin, its map would have {size} pixels; must be at most 60 m"
+        )
+    # The middle of each pixel, looked up: rows and columns have the same coordinates.
+    middles = (np.arange(size) + 0.5 - size / 2) * GIBSON_RESOLUTION
+    across = np.floor((middles - x) / floor.resolution).astype(np.int64)
+    along = np.floor((middles - y) / floor.resolution).astype(np.int64)
+    inside = ((along >= 0) & (along < rows))[:, None] & ((across >= 0) & (across < columns))
+    free = floor.free[np.clip(along, 0, rows - 1)[:, None], np.clip(across, 0, columns - 1)]
+    return np.where(free & inside, 255, 0).astype(np.uint8)
+
+
+def _png(picture: Bytes) -> bytes:
+    done, data = cv2.imencode(".png", np.ascontiguousarray(picture), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    if not done:
+        raise SceneError(f"a picture of {picture.shape} cannot be encoded")
+    return data.tobytes()

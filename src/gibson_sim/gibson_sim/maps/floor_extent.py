@@ -1,0 +1,81 @@
+"""How far a floor reaches, for views of all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gibson_sim.errors import SceneError
+from gibson_sim.formats.load_mesh import MeshLoader, mesh_folders
+from gibson_sim.formats.mesh import merge
+from gibson_sim.geometry.rasterise import clip_to_slab
+from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
+from gibson_sim.scenes.builder import estimate_floor
+from gibson_sim.scenes.scene_meshes import collision_triangles
+from gibson_sim.scenes.spec import DrawnScene, SceneSpec
+from gibson_sim.scenes.views import FloorExtent
+
+_WALLS = (0.5, 2.1)
+"""Metres above the floor: what stands there bounds it. Lawns and pavements outside do not count."""
+
+
+def extent_of_scene(scene: SceneSpec) -> FloorExtent:
+    """Returns the extent of the floor that robots start on: of the rooms that the scene names there, else of what stands on it.
+
+    Raises:
+        SceneError: there is nothing at this height.
+    """
+    level = scene.floors.index(scene.floor_z)
+    corners = [point for room in scene.rooms if room.floor == level for point in room.polygon]
+    if corners:
+        return _extent(np.array(corners, dtype=np.float64), scene.floor_z)
+    return extent_of_triangles(*collision_triangles(scene), scene.floor_z)
+
+
+def extent_of_drawn(scene: DrawnScene, floor_z: float | None = None, roots: Sequence[Path] | None = None) -> FloorExtent:
+    """Returns the extent of what stands on the floor of a scene of which nothing but its visuals is known.
+
+    Args:
+        scene: its files must be on this machine.
+        floor_z: height of the floor, metres; None = where most of what faces up lies in the lowest metre.
+        roots: folders that meshes must lie in; None = the folders of the meshes.
+
+    Raises:
+        SceneError: a mesh cannot be read, or there is nothing at this height.
+    """
+    still = [visual for visual in scene.visuals if not visual.link]
+    folders = roots or mesh_folders(visual.shape for visual in still)
+    loader = MeshLoader(folders, textures=False)
+    pieces = []
+    for visual in still:
+        vertices, triangles = loader.shape(visual.shape).merged()
+        pieces.append((transform_points(matrix_from_pose(visual.pose), vertices), triangles))
+    vertices, triangles = merge(pieces)
+    return extent_of_triangles(vertices, triangles, estimate_floor(vertices, triangles) if floor_z is None else floor_z)
+
+
+def extent_of_triangles(vertices: ArrayLike, triangles: ArrayLike, floor_z: float) -> FloorExtent:
+    """Returns the extent of what stands on a floor; of the floor itself where nothing does.
+
+    Args:
+        vertices: (V, 3), world frame, metres.
+        triangles: (F, 3).
+        floor_z: height of the floor, metres.
+
+    Raises:
+        SceneError: there is nothing at this height.
+    """
+    corners = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)[np.asarray(triangles, dtype=np.int64).reshape(-1, 3)]
+    for low, high in (_WALLS, (-0.1, _WALLS[1])):
+        inside = clip_to_slab(corners, floor_z + low, floor_z + high).reshape(-1, 2)
+        if len(inside):
+            return _extent(inside, floor_z)
+    raise SceneError(f"nothing stands at the height of the floor, {floor_z:g} m; give the view a center and a span")
+
+
+def _extent(points: NDArray[np.float64], z: float) -> FloorExtent:
+    (x0, y0), (x1, y1) = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    return FloorExtent((x0, y0), (x1, y1), z)

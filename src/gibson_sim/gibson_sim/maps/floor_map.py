@@ -1,0 +1,349 @@
+"""Where on a floor a robot can stand: an occupancy grid made from collision triangles. Knows no ROS and no physics engine.
+
+Cells are square; row 0 is at the lowest y, column 0 at the lowest x, as in ``nav_msgs/OccupancyGrid``.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from gibson_sim.errors import SceneError
+from gibson_sim.geometry.rasterise import ROUNDING, Grid, clip_to_slab
+from gibson_sim.geometry.triangles import unit_normals
+from gibson_sim.scenes.scene_meshes import collision_triangles
+from gibson_sim.scenes.spec import SceneSpec
+
+Bools = NDArray[np.bool_]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+_FLAT = 0.9
+"""Undersides and floors face down and up to within this cosine."""
+_STEEP = 0.05
+"""What is steeper than the angle of this cosine neither covers nor bears anything."""
+_MOST_COVERED = 0.9
+"""Part of a floor that things stand on; where more faces down, the faces themselves are wrong."""
+_TIE = 0.002
+"""Metres: an underside that lies no lower below a floor than this stands on it."""
+
+
+def inside_solids(corners: F64, grid: Grid, floor_z: float, low: float, high: float, *, ground_plane: bool = False) -> Bools:
+    """Returns (H, W): cells whose centre has an underside at the height of the floor, and above it first the top of something.
+
+    A room has its ceiling above it, which faces down, and a table's underside lies higher. Meshes whose faces are turned, or doubled,
+    have as much floor that faces down as up: nothing is said of these.
+
+    Args:
+        corners: (F, 3, 3), triangles, counter-clockwise seen from outside, world frame, metres.
+        grid: the cells.
+        floor_z: height of the floor, world metres.
+        low: what is lower is no part of it.
+        high: nor is what is higher.
+        ground_plane: there is a floor everywhere, although no triangle says so.
+    """
+    bottoms, tops = corners[:, :, 2].min(axis=1), corners[:, :, 2].max(axis=1)
+    at_floor = (bottoms >= low) & (tops <= high)
+    facing = unit_normals(corners)[:, 2]
+    down, up = corners[at_floor & (facing < -_FLAT)], corners[at_floor & (facing > _LEVEL)]
+    down = down[down[:, :, 2].max(axis=1) >= floor_z - _TIE]
+    floor_area = max(_area(up), 0.5 * grid.resolution**2 * grid.shape[0] * grid.shape[1] if ground_plane else 0.0)
+    if not len(down) or _area(down) > _MOST_COVERED * floor_area:
+        return np.zeros(grid.shape, dtype=bool)
+    underside = grid.heights(down, np.maximum)
+    standing = underside > -np.inf
+    # Elsewhere nobody asks what is above.
+    first, last = (np.asarray(grid.origin) + end * grid.resolution for end in _rim(standing))
+    over = (corners[:, :, :2].max(axis=1) > first).all(axis=1) & (corners[:, :, :2].min(axis=1) < last).all(axis=1)
+    above = over & (bottoms > high)
+    roof = grid.heights(corners[above & (facing < -_STEEP)], np.minimum)
+    top = grid.heights(corners[above & (facing > _STEEP)], np.minimum)
+    return np.asarray(standing & (underside >= grid.heights(up, np.maximum) - _TIE) & (top < roof))
+
+
+def _area(corners: F64) -> float:
+    """Returns the area of triangles (F, 3, 3) seen from above, square metres."""
+    a, b = corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2]
+    return float(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum() / 2)
+
+
+def _rim(cells: Bools) -> tuple[I64, I64]:
+    """Returns the first and last column and row, (2,) each, of the rectangle about cells."""
+    found = np.argwhere(cells)[:, ::-1]
+    return (found.min(axis=0), found.max(axis=0) + 1) if len(found) else (np.zeros(2, np.int64), np.zeros(2, np.int64))
+
+
+logger = logging.getLogger(__name__)
+
+
+FLOOR_CLEARANCE = 0.03
+"""What rises less than this above the floor is driven over, metres: thresholds, carpets, the bumps of a scan."""
+FLOOR_TOLERANCE = 0.10
+"""A level surface this near to the floor's height is floor, metres."""
+_LEVEL = math.cos(math.radians(20.0))
+_MAX_CELLS = 4_000_000
+"""100 x 100 m at 5 cm: named poses of 16 million took four seconds and a gigabyte."""
+_COARSE = 0.3
+"""Cells, metres, larger than which no robot finds its way: a quarter as many are as good, and take a quarter of the time."""
+_MAX_SIDE = 20_000
+"""Cells of a row or a column: things in a line, kilometres apart, would take gigabytes."""
+_CERTAIN = 2000.0
+"""Distances, half cells, below which single precision tells the squares of all from each other."""
+_CEILING = (1.8, 6.0)
+"""Metres above the floor: what is level and between these is a ceiling."""
+_CEILING_WIDTH = 0.6
+"""Metres: what is narrower is none."""
+_CEILING_LEVEL = math.cos(math.radians(50.0))
+_OPEN_SHARE = 0.2
+"""A region that ends in nothing along more than this part of its rim is outdoors: lawns, terraces."""
+_ROOM_AREA = 1.0
+"""Square metres: a smaller region is no room."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FloorMap:
+    """An occupancy grid in the world frame."""
+
+    resolution: float
+    """Edge of a cell, metres."""
+    origin: tuple[float, float]
+    """World x, y of the lower left corner of cell [0, 0], metres."""
+    occupied: Bools
+    """(H, W): something stands here between the floor and the robot's height."""
+    floor: Bools
+    """(H, W): there is floor to stand on. What is neither occupied nor floor is unknown."""
+    covered: Bools | None = None
+    """(H, W): a ceiling is above; None = not known."""
+    floor_z: float = 0.0
+    """Height of the floor, metres."""
+    distance_to_obstacle: F64 = field(init=False)
+    """(H, W): metres from the centre of a cell to the nearest point of a cell that is not free; 0 in such cells."""
+
+    def __post_init__(self) -> None:
+        if self.occupied.shape != self.floor.shape or self.occupied.ndim != 2 or not self.occupied.size:
+            raise SceneError(
+                f"floor map: occupied is {self.occupied.shape} and floor {self.floor.shape}; must be one (H, W) with cells"
+            )
+        object.__setattr__(self, "distance_to_obstacle", _distance_to_blocked(~self.free, self.resolution))
+
+    def furnished(self, vertices: F64, triangles: NDArray[np.integer[Any]], robot_height: float) -> FloorMap:
+        """Returns the map with things on its floor: cells that a robot ``robot_height`` metres high cannot be in for them are occupied.
+
+        Args:
+            vertices: (V, 3), world frame, metres.
+            triangles: (F, 3), rows of ``vertices``.
+            robot_height: metres above the floor.
+        """
+        parts = clip_to_slab(vertices[triangles], self.floor_z + FLOOR_CLEARANCE, self.floor_z + robot_height)
+        covered = Grid(self.resolution, self.origin, self.occupied.shape).cover(parts)
+        return replace(self, occupied=self.occupied | covered)
+
+    @property
+    def free(self) -> Bools:
+        """(H, W): floor with nothing on it."""
+        return np.asarray(self.floor & ~self.occupied)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows (along y), columns (along x)."""
+        rows, columns = self.occupied.shape
+        return rows, columns
+
+    def cells(self, xy: ArrayLike) -> I64:
+        """Returns row and column, (..., 2), of world points (..., 2); they may lie outside the grid."""
+        points = np.asarray(xy, dtype=np.float64)
+        return np.floor((points - self.origin) / self.resolution + ROUNDING).astype(np.int64)[..., ::-1]
+
+    def centers(self, cells: ArrayLike) -> F64:
+        """Returns world x, y, (..., 2), of the centres of cells given as row, column, (..., 2)."""
+        rows_columns = np.asarray(cells, dtype=np.float64)
+        return np.asarray((rows_columns[..., ::-1] + 0.5) * self.resolution + np.asarray(self.origin))
+
+    def clearance(self, xy: ArrayLike) -> F64:
+        """Returns ``distance_to_obstacle`` of the cells that hold world points (..., 2); 0 outside the grid."""
+        cells = self.cells(xy)
+        inside = np.asarray(((cells >= 0) & (cells < np.array(self.shape))).all(axis=-1))
+        safe = np.where(inside[..., None], cells, 0)
+        return np.where(inside, self.distance_to_obstacle[safe[..., 0], safe[..., 1]], 0.0)
+
+    def inflate(self, radius: float) -> Bools:
+        """Returns (H, W): cells about any point of which a disc of ``radius`` (metres) lies in free space."""
+        return np.asarray(self.distance_to_obstacle >= radius + self.resolution * math.sqrt(0.5))
+
+    def largest_free_region(self, radius: float = 0.0) -> Bools:
+        """Returns (H, W): the largest connected part of the places for a disc of ``radius``; all False if there is none.
+
+        Indoors goes before outdoors, where a part of 1 m^2 or more is indoors: under a ceiling, or closed in by walls. A part is open
+        that touches the rim of the map, or ends in nothing as a lawn does. Where ceilings are known, closed parts without one (yards)
+        count little.
+        """
+        places = self.inflate(radius) if radius > 0 else self.free
+        covered = np.zeros(self.shape, dtype=bool) if self.covered is None else self.covered
+        labels, count = ndimage.label(places & (covered | ~self._open()))
+        has_ceilings = (covered & places).sum() * self.resolution**2 >= _ROOM_AREA
+        worth = np.where(covered, 1.0, 0.02 if has_ceilings else 1.0)
+        areas = np.bincount(labels.ravel(), weights=worth.ravel(), minlength=count + 1) * self.resolution**2
+        areas[0] = 0.0
+        if areas.max() >= _ROOM_AREA:
+            return np.asarray(labels == int(areas.argmax()))
+        labels, count = ndimage.label(places)
+        if not count:
+            return places
+        return np.asarray(labels == 1 + int(np.bincount(labels.ravel())[1:].argmax()))
+
+    def _open(self) -> Bools:
+        """Returns (H, W): free cells of regions that are not closed in."""
+        unknown, _ = ndimage.label(np.pad(~(self.floor | self.occupied), 1, constant_values=True))
+        outside = (unknown == unknown[0, 0])[1:-1, 1:-1]
+        labels, count = ndimage.label(self.free)
+        beside_nothing = ndimage.binary_dilation(np.pad(outside, 1, constant_values=True))[1:-1, 1:-1]
+        beside_anything = ndimage.binary_dilation(~self.free, border_value=True)
+        ends = np.bincount(labels[beside_nothing], minlength=count + 1)
+        rims = np.bincount(labels[beside_anything], minlength=count + 1)
+        is_open = ends > _OPEN_SHARE * rims
+        rim = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+        is_open[rim] = True
+        is_open[0] = False
+        return np.asarray(is_open[labels])
+
+    def nearest_free(self, xy: tuple[float, float], radius: float = 0.0) -> tuple[float, float] | None:
+        """Returns the centre of the nearest place for a disc of ``radius``, world metres; None if there is none."""
+        cells = np.argwhere(self.inflate(radius) if radius > 0 else self.free)
+        if not len(cells):
+            return None
+        centers = self.centers(cells)
+        x, y = centers[int(np.argmin(np.sum((centers - np.asarray(xy)) ** 2, axis=1)))]
+        return float(x), float(y)
+
+
+def scene_floor_map(scene: SceneSpec, *, robot_height: float, resolution: float = 0.05) -> FloorMap:
+    """Returns the floor map of a scene's static collision shapes for a robot ``robot_height`` metres high."""
+    vertices, triangles = collision_triangles(scene)
+    ground = scene.ground_z is not None and abs(scene.ground_z - scene.floor_z) <= FLOOR_TOLERANCE
+    return make_floor_map(
+        vertices, triangles, floor_z=scene.floor_z, robot_height=robot_height, resolution=resolution, ground_plane=ground
+    )
+
+
+def make_floor_map(
+    vertices: ArrayLike,
+    triangles: ArrayLike,
+    *,
+    floor_z: float,
+    robot_height: float,
+    resolution: float = 0.05,
+    ground_plane: bool = False,
+) -> FloorMap:
+    """Returns the occupancy grid of a triangle mesh, world frame, z up.
+
+    A cell is occupied where any part of a triangle between ``floor_z + FLOOR_CLEARANCE`` and ``floor_z + robot_height`` touches it, and
+    inside of what stands on the floor.
+
+    Args:
+        vertices: (V, 3), metres.
+        triangles: (F, 3), rows of ``vertices``.
+        floor_z: height of the floor, metres.
+        robot_height: metres above the floor.
+        resolution: edge of a cell, metres; made coarser, with a warning, where the map would become too large.
+        ground_plane: there is a floor everywhere, also where no triangle is. Where the mesh has a floor of its own, that one
+            decides what is indoors.
+
+    Raises:
+        SceneError: there is nothing at this height.
+    """
+    v = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
+    corners = v[np.asarray(triangles, dtype=np.int64).reshape(-1, 3)]
+    low, high = floor_z + FLOOR_CLEARANCE, floor_z + robot_height
+    if high <= low:
+        raise SceneError(f"floor map: robot_height is {robot_height:g} m, must be more than {FLOOR_CLEARANCE:g} m")
+    tops, bottoms = corners[:, :, 2].max(axis=1), corners[:, :, 2].min(axis=1)
+    obstacles = clip_to_slab(corners[(tops > low) & (bottoms < high)], low, high)
+    floors = corners[_is_floor(corners, floor_z)][:, :, :2]
+    grid = grid_about(floors, obstacles, resolution, floor_z, ground_plane)
+
+    floor = grid.cover(floors)
+    # Neighbouring floor tiles of a model may leave cracks.
+    floor = np.asarray(ndimage.binary_closing(np.pad(floor, 2), np.ones((3, 3)))[2:-2, 2:-2])
+    solid = inside_solids(corners, grid, floor_z, floor_z - FLOOR_TOLERANCE, low, ground_plane=ground_plane)
+    if ground_plane and (floor & ~solid).mean() < 0.2:
+        floor = np.ones(grid.shape, dtype=bool)
+    covered = under_ceiling(corners, floor_z, grid)
+    return FloorMap(grid.resolution, grid.origin, grid.cover(obstacles) | solid, floor, covered, floor_z)
+
+
+def grid_about(floors: F64, obstacles: F64, resolution: float, floor_z: float, ground_plane: bool) -> Grid:
+    """Returns the grid about polygons (P, K, 2) of floors and obstacles, world metres.
+
+    Args:
+        floors: may be none.
+        obstacles: may be none.
+        resolution: edge of a cell, metres; made coarser, with a warning, where the grid would become too large.
+        floor_z: for the message.
+        ground_plane: there is a floor also where there are no polygons.
+
+    Raises:
+        SceneError: there are neither floors nor obstacles nor a ground plane.
+    """
+    solid = [a.reshape(-1, 2) for a in (obstacles, floors) if len(a)]
+    if not solid:
+        if not ground_plane:
+            raise SceneError(
+                f"floor map: the scene has neither floor nor obstacles near z = {floor_z:g} m; give the right floor_z"
+            )
+        solid = [np.array([[-5.0, -5.0], [5.0, 5.0]])]
+    box = np.concatenate(solid)
+    return Grid.around(box, _affordable(resolution, box.max(axis=0) - box.min(axis=0)))
+
+
+def under_ceiling(corners: F64, floor_z: float, grid: Grid) -> Bools:
+    """Returns (H, W): cells below the level ones of triangles (F, 3, 3) at the height of a ceiling."""
+    middle = corners[:, :, 2].mean(axis=1) - floor_z
+    near = corners[(middle >= _CEILING[0]) & (middle <= _CEILING[1])]
+    level = near[np.abs(unit_normals(near)[:, 2]) >= _CEILING_LEVEL]
+    first = np.asarray(grid.origin)
+    last = first + grid.resolution * np.array(grid.shape[::-1])
+    inside = (level[:, :, :2].max(axis=1) > first).all(axis=1) & (level[:, :, :2].min(axis=1) < last).all(axis=1)
+    covered = grid.cover(level[inside][:, :, :2])
+    # Lintels, tops of walls and lamps are no ceilings.
+    width = max(1, round(_CEILING_WIDTH / grid.resolution))
+    return np.asarray(ndimage.binary_opening(covered, np.ones((width, width))))
+
+
+def _affordable(resolution: float, size: F64) -> float:
+    """Returns a cell size for which a map of ``size`` (2,) metres fits into memory."""
+    needed = max(math.sqrt(float(size[0] * size[1]) / _MAX_CELLS), float(size.max()) / _MAX_SIDE)
+    if needed <= resolution:
+        return resolution
+    if needed > _COARSE:
+        needed *= 2
+    coarser = math.ceil(round(needed / 0.05, 9)) * 0.05
+    logger.warning("the scene is %.0f x %.0f m: its floor map gets cells of %.2f m", size[0], size[1], coarser)
+    return coarser
+
+
+def _is_floor(corners: F64, floor_z: float) -> Bools:
+    """Returns (F,): triangles (F, 3, 3) that are level and at the height of the floor."""
+    near = (np.abs(corners[:, :, 2] - floor_z) <= FLOOR_TOLERANCE).all(axis=1)
+    return np.asarray(near & (np.abs(unit_normals(corners)[:, 2]) >= _LEVEL))
+
+
+def _distance_to_blocked(blocked: Bools, resolution: float) -> F64:
+    """Returns (H, W): metres from cell centres to the nearest blocked cell or the rim of the map, exact up to a thousand cells."""
+    rows, columns = blocked.shape
+    # On a lattice of half cells the nearest point of a square to a cell's centre is always a lattice point.
+    lattice = np.zeros((2 * rows + 1, 2 * columns + 1), dtype=bool)
+    lattice[0] = lattice[-1] = lattice[:, 0] = lattice[:, -1] = True
+    for i in range(3):
+        for j in range(3):
+            lattice[i : i + 2 * rows - 1 : 2, j : j + 2 * columns - 1 : 2] |= blocked
+    # OpenCV takes a fifth of SciPy's time, in single precision: the squares of smaller distances, whole numbers, are still certain.
+    distance = cv2.distanceTransform((~lattice).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1::2, 1::2].astype(np.float64)
+    exact = np.where(distance < _CERTAIN, np.sqrt(np.rint(np.square(distance))), distance)
+    return np.asarray(exact * (resolution / 2), dtype=np.float64)

@@ -1,0 +1,268 @@
+"""Places of a scene that have a name: where robots start, where there is room, rooms and doors. Computed from its floor map."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from gibson_sim.errors import SceneError
+from gibson_sim.geometry.transforms import pose_from_xyz_rpy
+from gibson_sim.maps.floor_map import FloorMap, scene_floor_map
+from gibson_sim.maps.rooms import NARROWEST_DOOR, Door, door_at, find_rooms, passages
+from gibson_sim.scenes.room_spec import RoomSpec
+from gibson_sim.scenes.spec import SceneSpec, StartPose
+from gibson_sim.types import Pose, Vec3
+
+_WALL = 0.4
+"""Metres: the thickest wall between two outlines."""
+
+
+@dataclass(frozen=True, slots=True)
+class RoomPlace:
+    """A room that a robot fits into."""
+
+    room: RoomSpec
+    place: tuple[float, float]
+    """Where a robot stands well: far from things and from the outline, world metres."""
+    area: float
+    """Square metres of free floor."""
+    reachable: bool
+    """Whether the way there from the largest part of the floor is wide enough for the robot."""
+
+
+class NamedRooms:
+    """The named rooms of one floor.
+
+    Args:
+        rooms: those of this floor.
+        floor: its map.
+    """
+
+    def __init__(self, rooms: Sequence[RoomSpec], floor: FloorMap) -> None:
+        self._rooms, self._floor = rooms, floor
+        self._inside: NDArray[np.int64] = np.zeros(floor.shape, dtype=np.int64)
+        cells = np.argwhere(floor.free) if rooms else np.zeros((0, 2), dtype=np.int64)
+        centers = floor.centers(cells)
+        for number, room in reversed(list(enumerate(rooms, start=1))):
+            self._inside[tuple(cells[room.contains(centers)].T)] = number
+        self._labels = self._grown()
+
+    def _grown(self) -> NDArray[np.int64]:
+        """Returns (H, W): number of the room of each free cell, 0 = none; those in doorways between outlines belong to the nearest."""
+        if not self._inside.any():
+            return self._inside
+        distance, nearest = ndimage.distance_transform_edt(self._inside == 0, self._floor.resolution, return_indices=True)
+        near = self._inside[tuple(nearest)]
+        return np.where(self._floor.free & (distance <= _WALL / 2 + self._floor.resolution), near, 0)
+
+    def places(self, radius: float) -> list[RoomPlace]:
+        """Returns one place for each room that a disc of ``radius`` metres fits into, in the order of the rooms."""
+        fits = self._floor.inflate(radius)
+        reachable = self._floor.largest_free_region(radius)
+        out = []
+        for number, room in enumerate(self._rooms, start=1):
+            inside = self._inside == number
+            cells = np.argwhere(inside & reachable)
+            is_reachable = len(cells) > 0
+            if not is_reachable:
+                cells = np.argwhere(inside & fits)
+            if not len(cells):
+                continue
+            # An outline may be no wall: a place on it is in both rooms.
+            within = ndimage.distance_transform_edt(np.pad(room.contains(self._centers()), 1), self._floor.resolution)[1:-1, 1:-1]
+            best = cells[int(np.minimum(within, self._floor.distance_to_obstacle)[tuple(cells.T)].argmax())]
+            x, y = self._floor.centers(best)
+            area = float(np.count_nonzero(inside)) * self._floor.resolution**2
+            out.append(RoomPlace(room, (float(x), float(y)), area, is_reachable))
+        return out
+
+    def doors(self) -> list[Door]:
+        """Returns the passages between the rooms, whose numbers are indices of ``rooms``; wide ones are open sides."""
+        out = []
+        for (first, second), pieces in passages(self._labels).items():
+            for cells in pieces:
+                door = door_at(self._floor, self._labels, cells, (first, second), (first - 1, second - 1))
+                # Gaps beside furniture, and the inside of hollow walls, are none.
+                if door.width >= NARROWEST_DOOR - self._floor.resolution:
+                    span = np.ptp(cells, axis=0)
+                    width = float(np.hypot(*(span + (span > 0)))) * self._floor.resolution
+                    out.append(replace(door, width=max(width, door.width)))
+        return sorted(out, key=lambda door: (door.rooms, door.center))
+
+    def room_at(self, xy: tuple[float, float]) -> RoomSpec | None:
+        """Returns the room of a place, world metres, or None."""
+        row, column = (int(i) for i in self._floor.cells(np.array(xy)))
+        rows, columns = self._floor.shape
+        number = int(self._labels[row, column]) if 0 <= row < rows and 0 <= column < columns else 0
+        return self._rooms[number - 1] if number else None
+
+    def _centers(self) -> NDArray[np.float64]:
+        rows, columns = self._floor.shape
+        return self._floor.centers(np.stack(np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij"), axis=-1))
+
+
+logger = logging.getLogger(__name__)
+
+FREE_PLACES = 8
+"""On a floor."""
+DEFAULT_RADIUS, DEFAULT_HEIGHT = 0.3, 0.5
+"""Metres: of the robot that a free place is for, where the scene has none."""
+_SPARE = 0.2
+"""Metres beside the robot, where the floor has places with so much."""
+_WIDEST_DOOR = 1.6
+"""Metres: a wider passage between two rooms that a scene names is an opening, as in a flat whose kitchen is a part of its living room."""
+_ROOM_RESOLUTION = 0.1
+_MOST_CANDIDATES = 100_000
+
+
+@dataclass(frozen=True, slots=True)
+class NamedPose:
+    """A place with a name."""
+
+    name: str
+    description: str
+    tags: tuple[str, ...]
+    pose: Pose
+    """World frame."""
+    low: Vec3
+    """Lowest corner of a box about it, in its frame, metres."""
+    high: Vec3
+
+
+def named_poses(scene: SceneSpec) -> tuple[NamedPose, ...]:
+    """Returns start poses, free places, rooms and doors of every floor, in this order; equal scenes have equal poses.
+
+    A room that the scene names is called as there, ``floor_0/kitchen``, and its pose is where the largest robot stands well; others are
+    numbered. Doors are called by the rooms that they connect, ``floor_0/door_hall_kitchen``; what is wider is an opening. The boxes of start
+    poses and free places are free of everything static; that of a room is the smallest about its floor.
+    """
+    height = max((robot.height for robot in scene.robots), default=DEFAULT_HEIGHT)
+    radius = max((robot.radius for robot in scene.robots), default=DEFAULT_RADIUS)
+    out: list[NamedPose] = []
+    for number, floor_z in enumerate(scene.floors):
+        level, tag = replace(scene, floor_z=floor_z), f"floor_{number}"
+        starts = [s for s in scene.starts if _floor_of(scene, s.pose.position[2]) == number]
+        try:
+            floor = scene_floor_map(level, robot_height=height)
+            large = floor.resolution >= _ROOM_RESOLUTION  # then both maps are the same
+            coarse = floor if large else scene_floor_map(level, robot_height=height, resolution=_ROOM_RESOLUTION)
+        except SceneError as error:
+            logger.warning("scene %s: start poses are the only ones with a name on %s: %s", scene.name, tag, error)
+            nowhere = (0.0, 0.0, 0.0)
+            out += [NamedPose(s.name, "start pose", ("start", tag), s.pose, nowhere, nowhere) for s in starts]
+            continue
+        out += _starts(starts, tag, floor, height)
+        out += _free(level, tag, floor, radius, height)
+        out += _rooms_and_doors(level, number, floor, coarse, radius, height)
+    return _unique(out)
+
+
+def _unique(poses: Sequence[NamedPose]) -> tuple[NamedPose, ...]:
+    """Returns the poses; of those with the same name the later ones have a number behind it."""
+    taken: set[str] = set()
+    out = []
+    for pose in poses:
+        name = next(text for text in (pose.name, *(f"{pose.name}_{i}" for i in range(2, len(poses) + 2))) if text not in taken)
+        taken.add(name)
+        out.append(replace(pose, name=name))
+    return tuple(out)
+
+
+def _floor_of(scene: SceneSpec, z: float) -> int:
+    """Returns the number of the highest floor that is not above ``z``, with half a metre to spare; else the lowest."""
+    return max((i for i, floor_z in enumerate(scene.floors) if floor_z <= z + 0.5), default=0)
+
+
+def _starts(starts: Sequence[StartPose], tag: str, floor: FloorMap, height: float) -> list[NamedPose]:
+    out = []
+    for start in starts:
+        clearance = float(floor.clearance(np.array(start.pose.position[:2])))
+        out.append(NamedPose(start.name, "start pose", ("start", tag), start.pose, *_box(clearance, height)))
+    return out
+
+
+def _free(scene: SceneSpec, tag: str, floor: FloorMap, radius: float, height: float) -> list[NamedPose]:
+    """Returns free places far from each other: the most open one first, then always the one farthest from all before."""
+    region = floor.largest_free_region(radius)
+    roomy = region & (floor.distance_to_obstacle >= radius + _SPARE)
+    cells = np.argwhere(roomy if roomy.any() else region)
+    if not len(cells):
+        return []
+    clearance = floor.distance_to_obstacle[tuple(cells.T)]
+    chosen = [cells[int(clearance.argmax())]]
+    candidates = cells[:: max(1, len(cells) // _MOST_CANDIDATES)].astype(np.float64)
+    distance = np.full(len(candidates), np.inf)
+    while len(chosen) < FREE_PLACES:
+        distance = np.minimum(distance, np.sum((candidates - chosen[-1]) ** 2, axis=1))
+        farthest = int(distance.argmax())
+        if distance[farthest] == 0.0:
+            break
+        chosen.append(candidates[farthest].astype(np.int64))
+    out = []
+    for i, cell in enumerate(chosen):
+        x, y = (float(c) for c in floor.centers(cell))
+        room = float(floor.distance_to_obstacle[tuple(cell)])
+        pose = pose_from_xyz_rpy((x, y, scene.floor_z))
+        out.append(NamedPose(f"{tag}/free_{i}", f"{room:.2f} m from the nearest thing", ("free", tag), pose, *_box(room, height)))
+    return out
+
+
+def _rooms_and_doors(
+    scene: SceneSpec, number: int, floor: FloorMap, coarse: FloorMap, radius: float, height: float
+) -> list[NamedPose]:
+    """Returns rooms and doors: those that the scene names, and what the map shows beside them."""
+    tag = f"floor_{number}"
+    known = NamedRooms([room for room in scene.rooms if room.floor == number], floor)
+    out = [_named_room(place, tag, scene.floor_z, height) for place in known.places(radius)]
+    rooms, doors = find_rooms(coarse)
+    callings = {i: spec.name for i, found in enumerate(rooms) if (spec := known.room_at(found.center)) is not None}
+    others = [i for i in range(len(rooms)) if i not in callings]
+    callings |= {i: f"room_{n}" for n, i in enumerate(others)}
+    for i in others:
+        room, (x, y) = rooms[i], rooms[i].center
+        low: Vec3 = (room.low[0] - x, room.low[1] - y, 0.0)
+        high: Vec3 = (room.high[0] - x, room.high[1] - y, height)
+        pose = pose_from_xyz_rpy((x, y, scene.floor_z))
+        out.append(NamedPose(f"{tag}/{callings[i]}", f"room of {room.area:.1f} m^2", ("room", tag), pose, low, high))
+    names = [room.name for room in scene.rooms if room.floor == number]
+    passages = [(door, names[door.rooms[0]], names[door.rooms[1]]) for door in known.doors()]
+    passages += [(door, callings[door.rooms[0]], callings[door.rooms[1]]) for door in doors if {*door.rooms} & {*others}]
+    return out + _doors(passages, tag, scene.floor_z, height)
+
+
+def _named_room(place: RoomPlace, tag: str, floor_z: float, height: float) -> NamedPose:
+    (x, y), room = place.place, place.room
+    corners = np.array(room.polygon) - (x, y)
+    low: Vec3 = (*(float(c) for c in corners.min(axis=0)), 0.0)  # type: ignore[assignment]
+    high: Vec3 = (*(float(c) for c in corners.max(axis=0)), height)  # type: ignore[assignment]
+    apart = "" if place.reachable else ", not to be reached by the robot from the rest of the floor"
+    text = f"room of {place.area:.1f} m^2{apart}: {room.name}"
+    return NamedPose(f"{tag}/{room.name}", text, ("room", tag, room.room_class), pose_from_xyz_rpy((x, y, floor_z)), low, high)
+
+
+def _doors(passages: Sequence[tuple[Door, str, str]], tag: str, floor_z: float, height: float) -> list[NamedPose]:
+    """Returns passages with the names of the rooms that they connect; several between the same two are numbered."""
+    out: list[NamedPose] = []
+    count: Counter[tuple[str, ...]] = Counter()
+    for door, first, second in passages:
+        what = "door" if door.width <= _WIDEST_DOOR else "opening"
+        again = count[what, first, second]
+        count[what, first, second] += 1
+        name = f"{tag}/{what}_{first}_{second}{f'_{again}' if again else ''}"
+        text = f"{what} {door.width:.1f} m wide, from {first} to {second}"
+        pose = pose_from_xyz_rpy((*door.center, floor_z), (0.0, 0.0, door.yaw))
+        out.append(NamedPose(name, text, (what, tag), pose, *_box(door.width / 2, height)))
+    return out
+
+
+def _box(clearance: float, height: float) -> tuple[Vec3, Vec3]:
+    """Returns the corners of the square within a circle of radius ``clearance``, as high as the map was made for."""
+    half = clearance / math.sqrt(2.0)
+    return (-half, -half, 0.0), (half, half, height)

@@ -1,0 +1,141 @@
+"""Puts robots into a scene: from names to one SceneSpec."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.geometry.transforms import pose_from_xyz_rpy
+from gibson_sim.maps.bodies import body_triangles
+from gibson_sim.maps.floor_map import FloorMap, scene_floor_map
+from gibson_sim.maps.tour import choose_start
+from gibson_sim.quoting import quoted
+from gibson_sim.robots.spec import RobotSpec
+from gibson_sim.scenes.load import load_scene, with_robots
+from gibson_sim.scenes.robot_files import load_robot
+from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.settings import nearest
+from gibson_sim.types import Pose
+
+logger = logging.getLogger(__name__)
+
+
+def populate(
+    scene_name: str, robots: str, start: str = "", *, sdf_lamps: bool = False, robot_tf: str = "namespaced"
+) -> SceneSpec:
+    """Returns the scene with its robots.
+
+    Args:
+        scene_name: what ``load_scene`` takes.
+        robots: what ``load_robot`` takes, or several as ``name=robot``, separated by commas: each gets a namespace of its name.
+        start: name of one of the scene's start poses, or ``x,y,yaw_deg``; for several robots in their order, separated by ``;``.
+            Empty = the first start pose that is left, or the most open place.
+        sdf_lamps: as ``load_scene`` takes it.
+        robot_tf: several robots: ``namespaced`` or ``prefixed``, see ``gibson_sim.config.PhysicsConfig``.
+
+    Raises:
+        SceneError: the scene cannot be loaded.
+        RobotError: a robot cannot be loaded.
+        ConfigError: ``robots`` or ``start`` is not as above.
+    """
+    return place_robots(load_scene(scene_name, sdf_lamps=sdf_lamps), robots, start, robot_tf=robot_tf)
+
+
+def place_robots(scene: SceneSpec, robots: str, start: str = "", *, robot_tf: str = "namespaced") -> SceneSpec:
+    """Returns the scene with its robots; the arguments are those of ``populate``."""
+    if not robots.strip():
+        raise ConfigError("robot is empty: name one, such as gibson_bot, or give its file")
+    if "=" not in robots:
+        robot = load_robot(robots)
+        return with_robots(scene, [replace(robot, start=start_pose(scene, robot, start))])
+    placed: list[RobotSpec] = []
+    entries = [part.strip() for part in robots.split(",")]
+    starts = [part.strip() for part in start.split(";")] if start else []
+    if len(starts) > len(entries):
+        raise ConfigError(f"start has {len(starts)} places for {len(entries)} robots: {quoted(start)}")
+    for i, entry in enumerate(entries):
+        name, _, kind = (part.strip() for part in entry.partition("="))
+        if not (name and kind):
+            raise ConfigError(
+                f"robot {quoted(entry)} must be name=robot where there are several, e.g. left=gibson_bot,right=gibson_bot"
+            )
+        if any(name == other.name for other in placed):
+            raise ConfigError(f"two robots are called {quoted(name)}; names must differ")
+        robot = in_namespace(load_robot(kind, name=name), name, robot_tf)
+        given = starts[i] if i < len(starts) else ""
+        pose = start_pose(scene, robot, given) if given else free_start(scene, robot, [other.start for other in placed])
+        placed.append(replace(robot, start=pose))
+    return with_robots(scene, placed)
+
+
+def in_namespace(robot: RobotSpec, namespace: str, robot_tf: str = "namespaced") -> RobotSpec:
+    """Returns the robot with all its topics, those of its cameras too, under ``namespace``, its frames as ``robot_tf`` says."""
+    prefix = f"{namespace}/" if robot_tf == "prefixed" else ""
+    cameras = tuple(replace(c, name=f"{namespace}/{c.name}", frame_id=f"{prefix}{c.optical_frame}") for c in robot.cameras)
+    return replace(robot, namespace=namespace, frame_prefix=prefix, own_tf=not prefix, cameras=cameras)
+
+
+def free_start(scene: SceneSpec, robot: RobotSpec, taken: list[Pose]) -> Pose:
+    """Returns a place that is clear of what stands there and of robots at ``taken``: a start pose, or the nearest free floor."""
+    distance = 4.0 * robot.radius + 0.5
+
+    def is_clear(x: float, y: float) -> bool:
+        return all(math.hypot(x - other.position[0], y - other.position[1]) >= distance for other in taken)
+
+    for named in scene.starts:
+        if is_clear(*named.pose.position[:2]):
+            return named.pose
+    if not taken:
+        return start_pose(scene, robot, "")
+    floor = robot_floor_map(scene, robot)
+    region = floor.largest_free_region(robot.radius)
+    centers = floor.centers(np.argwhere(region))
+    order = np.argsort(np.sum((centers - np.array(taken[0].position[:2])) ** 2, axis=1), kind="stable")
+    for x, y in centers[order]:
+        if is_clear(float(x), float(y)):
+            return pose_from_xyz_rpy((float(x), float(y), scene.floor_z), (0.0, 0.0, 0.0))
+    raise ConfigError(f"scene {quoted(scene.name)} has no room for robot {quoted(robot.name)}: give its start as x,y,yaw_deg")
+
+
+def start_pose(scene: SceneSpec, robot: RobotSpec, start: str) -> Pose:
+    """Returns T_world_base for ``start`` (see ``populate``), on the scene's floor."""
+    named = {s.name: s.pose for s in scene.starts}
+    if start in named:
+        return named[start]
+    if start:
+        numbers = _three_numbers(start)
+        if numbers is None:
+            known, hint = ", ".join(named) or "none in this scene", nearest(start, tuple(named))
+            raise ConfigError(
+                f"start is {quoted(start)}, must be x,y,yaw_deg in metres and degrees, or the name of a start pose: {known}"
+                f"{f'; {hint}' if hint else ''}"
+            )
+        x, y, yaw_deg = numbers
+        return pose_from_xyz_rpy((x, y, scene.floor_z), (0.0, 0.0, math.radians(yaw_deg)))
+    if scene.starts:
+        return scene.starts[0].pose
+    x, y, yaw = choose_start(robot_floor_map(scene, robot), robot.radius)
+    logger.info("scene %s names no start pose: starting at %.2f,%.2f,%.0f", scene.name, x, y, math.degrees(yaw))
+    return pose_from_xyz_rpy((x, y, scene.floor_z), (0.0, 0.0, yaw))
+
+
+def robot_floor_map(scene: SceneSpec, robot: RobotSpec) -> FloorMap:
+    """Returns where on the scene's floor ``robot`` would touch nothing static."""
+    return scene_floor_map(scene, robot_height=robot.height)
+
+
+def furnished_floor_map(scene: SceneSpec, robot: RobotSpec) -> FloorMap:
+    """Returns where on the scene's floor ``robot`` would touch nothing, neither what is static nor bodies where they stand at load."""
+    return robot_floor_map(scene, robot).furnished(*body_triangles(scene), robot.height)
+
+
+def _three_numbers(text: str) -> tuple[float, float, float] | None:
+    try:
+        x, y, yaw = (float(part) for part in text.split(","))
+    except ValueError:
+        return None
+    return (x, y, yaw) if all(map(math.isfinite, (x, y, yaw))) else None

@@ -1,0 +1,158 @@
+"""Merges all visuals of a scene into ``Batches``. No OpenGL here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.description.shapes import Shape, VisualSpec
+from gibson_sim.errors import ConfigError, GibsonSimError
+from gibson_sim.formats.mesh import Material, MeshPart, TextureSource
+from gibson_sim.geometry.colours import linear16_from_srgb8
+from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
+from gibson_sim.render.batching.batches import MAX_LABEL, VERTEX, Batches, Kind, Loader, MapSet, Progress
+from gibson_sim.render.batching.joining import Joiner, Key, Pile
+from gibson_sim.render.batching.material_table import MaterialTable, solid_alpha
+from gibson_sim.render.culling.closed_solids import Solids, find_solids, moved_boxes
+from gibson_sim.types import Rgba
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+
+def build_batches(
+    visuals: Sequence[VisualSpec],
+    links: Sequence[str],
+    loader: Loader,
+    labels: Sequence[tuple[int, int]] = (),
+    *,
+    coarser: bool = True,
+    progress: Progress | None = None,
+) -> Batches:
+    """Returns the triangles of all visuals; a visual that cannot be loaded is left out with a warning.
+
+    Args:
+        visuals: what to draw.
+        links: names of the moving links, in the order of ``SceneState.links``.
+        loader: returns the mesh of a shape, or raises a ``GibsonSimError``.
+        labels: semantic class and instance of each visual; empty = all 0.
+        coarser: make levels of detail.
+        progress: told how far it is.
+    """
+    highest = max((max(label) for label in labels), default=0)
+    if highest > MAX_LABEL:
+        raise ConfigError(f"the scene has {highest} classes or instances, at most {MAX_LABEL} can be told apart in an image")
+    progress = progress or (lambda what, part: None)
+    link_numbers = {"": 0, **{name: i + 1 for i, name in enumerate(links)}}
+    piles: dict[Key, Pile] = {}
+    textures: dict[int, tuple[int, TextureSource]] = {}
+    map_sets: dict[tuple[int, ...], tuple[int, MapSet]] = {}
+    files: dict[Path, None] = {}
+    warnings: list[str] = []
+    found_solids: dict[tuple[Shape, tuple[bool, ...]], Solids] = {}
+    solid_boxes, solid_links = [np.zeros((0, 6))], [np.zeros(0, dtype=np.int64)]
+    table = MaterialTable([v.appearance for v in visuals if v.appearance is not None], warnings.append)
+    for k, (visual, label) in enumerate(zip(visuals, labels or [(0, 0)] * len(visuals), strict=True)):
+        progress("reading meshes", k / len(visuals))
+        if visual.link not in link_numbers:
+            warnings.append(f"visual {visual.name!r}: link {visual.link!r} is not in the scene; it is not drawn")
+            continue
+        try:
+            mesh = loader(visual.shape)
+        except GibsonSimError as e:
+            warnings.append(f"visual {visual.name!r} is not drawn: {e}")
+            continue
+        warnings += [w for w in mesh.warnings if w not in warnings]
+        files.update(dict.fromkeys(mesh.files))
+        if visual.appearance is not None and visual.appearance.pattern is not None and visual.appearance.pattern.image:
+            files[Path(visual.appearance.pattern.image)] = None
+        link, T_link_visual = link_numbers[visual.link], matrix_from_pose(visual.pose)
+        materials = [part.material if visual.color is None else _plain(visual.color) for part in mesh.parts]
+        drawn = [material.texture if part.uvs is not None else None for part, material in zip(mesh.parts, materials, strict=True)]
+        kinds = tuple(map(_kind, materials, drawn))
+        alike = (visual.shape, tuple(kind == "opaque" for kind in kinds))
+        if alike not in found_solids:
+            found_solids[alike] = find_solids(mesh.parts, alike[1])
+        solids = found_solids[alike]
+        solid_boxes.append(moved_boxes(solids.boxes, T_link_visual))
+        solid_links.append(np.full(len(solids.boxes), link))
+        for part, material, texture, kind, of_solid in zip(mesh.parts, materials, drawn, kinds, solids.triangles, strict=True):
+            number = -1 if texture is None else textures.setdefault(id(texture), (len(textures), texture))[0]
+            maps = -1
+            if part.uvs is not None and material.has_maps:
+                found = _map_set(material)
+                maps = map_sets.setdefault(tuple(map(id, found)), (len(map_sets), found))[0]
+            row = table.row(material if part.uvs is not None else replace(material, texture=None), visual.appearance)
+            vertices = _vertices(part, row, T_link_visual, label)
+            colored = material.colored and part.colors is not None
+            if colored:
+                vertices["uv"] = _packed_colors(part.colors)
+            for closed in (False, True):
+                triangles = part.triangles[of_solid == closed]
+                if len(triangles):
+                    key = (link > 0, number, maps, kind, material.unlit, colored, closed, link)
+                    piles.setdefault(key, Pile()).add(*_used(vertices, triangles))
+    if len(table.rows) > MAX_LABEL:
+        raise ConfigError(f"the scene has {len(table.rows)} different materials, at most {MAX_LABEL} can be drawn")
+    shown = tuple(t for _, t in textures.values())
+    return Joiner(coarser, progress).join(
+        piles,
+        table,
+        shown,
+        tuple(m for _, m in map_sets.values()),
+        (np.concatenate(solid_boxes), np.concatenate(solid_links)),
+        tuple(files),
+        tuple(warnings),
+    )
+
+
+def _used(vertices: NDArray[np.void], triangles: NDArray[np.uint32]) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
+    """Returns vertices and triangles without the vertices that no triangle uses, where there are some."""
+    used = np.zeros(len(vertices), dtype=bool)
+    used[triangles] = True
+    if used.all():
+        return vertices, triangles
+    return vertices[used], (np.cumsum(used, dtype=np.uint32) - np.uint32(1))[triangles]
+
+
+def _plain(color: Rgba) -> Material:
+    return Material(base_color=color, alpha_mode="blend" if color[3] < 1.0 else "opaque")
+
+
+def _kind(material: Material, texture: TextureSource | None) -> Kind:
+    """Returns how to draw it: files often ask for blending where nothing is translucent, which would cost depth and time."""
+    if material.alpha_mode == "opaque":
+        return "opaque"
+    lowest = material.base_color[3]
+    if texture is not None and texture.pixels.shape[2] == 4:
+        lowest *= float(texture.pixels[:, :, 3].min()) / 255.0
+    if lowest >= solid_alpha(material):
+        return "opaque"
+    return "mask" if material.alpha_mode == "mask" else "blend"
+
+
+def _map_set(material: Material) -> MapSet:
+    return (material.metallic_roughness_texture, material.normal_texture, material.occlusion_texture, material.emissive_texture)
+
+
+def _vertices(part: MeshPart, material: int, T_link_visual: F64, label: tuple[int, int]) -> NDArray[np.void]:
+    out = np.zeros(len(part.vertices), dtype=VERTEX)
+    out["position"] = transform_points(T_link_visual, part.vertices)
+    out["normal"] = np.rint(np.clip(part.normals @ T_link_visual[:3, :3].T, -1.0, 1.0) * 32767.0)
+    if part.uvs is not None:
+        out["uv"] = part.uvs
+    out["material"] = min(material, MAX_LABEL)
+    out["label"] = label
+    return out
+
+
+def _packed_colors(colors: NDArray[np.uint8] | None) -> F32:
+    """Returns (V, 2) float32 whose bytes are linear red, green, blue and 0 as 16-bit numbers, of sRGB colours (V, 3)."""
+    assert colors is not None
+    out = np.zeros((len(colors), 4), dtype="<u2")
+    out[:, :3] = linear16_from_srgb8(colors)
+    return out.view("<f4")

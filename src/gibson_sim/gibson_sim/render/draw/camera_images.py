@@ -1,0 +1,158 @@
+"""Draws images of cameras of any kind into targets: plain pinholes as they are, non-pinhole ones from views, smooth edges from samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gibson_sim.errors import RenderError
+from gibson_sim.geometry.transforms import Mat4
+from gibson_sim.render.context import GlContext, gl as GL
+from gibson_sim.render.culling.draw_plan import Picture
+from gibson_sim.render.draw.gl_scene import GlScene
+from gibson_sim.render.draw.grouping import Group, Grouping, Remembered, arrange
+from gibson_sim.render.draw.pinhole_views import View, is_plain, views_of
+from gibson_sim.render.draw.resample import Resampler
+from gibson_sim.render.draw.target import Feature, Target
+from gibson_sim.render.readback.frames import Shot
+from gibson_sim.types import CameraSpec, Pose
+
+_intrinsics = Remembered(CameraSpec.intrinsics)
+_is_plain = Remembered(is_plain)
+_MAX_TARGETS = 12
+_MAX_RESAMPLERS = 32
+
+
+class Drawing:
+    """Draws into targets of one context; it must be current in every call."""
+
+    def __init__(self, context: GlContext, scene: GlScene) -> None:
+        self._context, self._scene, self._gl = context, scene, GL.Gl(context)
+        self._targets: dict[tuple[int, int, tuple[Feature, ...], int, str], Target] = {}
+        self._resamplers: dict[tuple[CameraSpec, tuple[tuple[int, int], ...]], Resampler] = {}
+        self._largest = self._gl.integer(GL.MAX_TEXTURE_SIZE)
+        self.groups: Callable[[Sequence[CameraSpec]], tuple[Group, ...]] = Grouping(self._largest).of
+        """Which cameras are drawn into one target."""
+
+    def target(self, width: int, height: int, features: tuple[Feature, ...], samples: int = 1, use: str = "") -> Target:
+        """Returns a target, the same again for the same arguments; ``use`` tells apart those needed at the same time."""
+        key = (width, height, features, samples, use)
+        found = self._targets.pop(key, None)
+        if found is None:
+            if len(self._targets) >= _MAX_TARGETS:
+                self._targets.pop(next(iter(self._targets))).close()  # the one unused for longest
+            found = Target(self._context, width, height, features, samples)
+        self._targets[key] = found
+        return found
+
+    def draw(self, target: Target, shots: Sequence[Shot], before: Sequence[Mat4]) -> None:
+        """Clears a target and draws images into it; the scene has the links already.
+
+        Args:
+            target: with one sample a pixel and the features of all the cameras.
+            shots: the images; all cameras ask for the same number of samples.
+            before: T_world_camera of each at the state before.
+        """
+        plain = [_picture(shot, pose) for shot, pose in zip(shots, before, strict=True) if _is_plain(shot.camera)]
+        color = any("rgb" in shot.camera.outputs for shot in shots)
+        samples = max((shot.camera.samples for shot in shots), default=1)
+        non_pinhole = [(shot, pose) for shot, pose in zip(shots, before, strict=True) if not _is_plain(shot.camera)]
+        if color and samples > 1 and plain:
+            # Labels and depth are those of the pixel's middle, to the bit, whatever is done for the edges of colours.
+            self._scene.draw(target, plain, color=False)
+            smooth = self.target(target.width, target.height, (), samples)
+            self._scene.draw(smooth, plain)
+            self._resolve(smooth, target)
+        else:
+            self._scene.draw(target, plain, color=color)
+        if non_pinhole:
+            self._draw_non_pinhole(target, non_pinhole, color)
+
+    def _draw_non_pinhole(self, target: Target, shots: Sequence[tuple[Shot, Mat4]], color: bool) -> None:
+        """Draws the views of non-pinhole cameras side by side, all at once if they fit, and puts the images together from them."""
+        views = [views_of(shot.camera) for shot, _ in shots]
+        sizes = [(view.width, view.height) for group in views for view in group]
+        arranged = arrange(sizes, self._largest)
+        if len(arranged) > 1:
+            if len(shots) == 1:
+                camera = shots[0][0].camera
+                raise RenderError(
+                    f"camera {camera.name!r}: a {camera.projection} image of {camera.width}x{camera.height} is made from views that do not "
+                    f"fit into the {self._largest} pixels a side that can be drawn here; choose a smaller one"
+                )
+            for one in shots:
+                self._draw_non_pinhole(target, [one], color)
+            return
+        numbers, tiles = arranged[0]
+        place = dict(zip(numbers, tiles.places, strict=True))
+        source = self.target(tiles.width, tiles.height, target.features, use="views")
+        pictures, first = [], 0
+        for (shot, before), group in zip(shots, views, strict=True):
+            pictures += [_view_picture(shot, view, before, place[first + k]) for k, view in enumerate(group)]
+            first += len(group)
+        self._scene.draw(source, pictures, color=color)
+        first = 0
+        for (shot, _), group in zip(shots, views, strict=True):
+            places = tuple(place[first + k] for k in range(len(group)))
+            self._resampler(shot.camera, places).run(source, target, shot.x, shot.y)
+            first += len(group)
+
+    def _resampler(self, camera: CameraSpec, places: tuple[tuple[int, int], ...]) -> Resampler:
+        key = (replace(camera, name="", link="", pose=Pose()), places)
+        found = self._resamplers.pop(key, None)
+        if found is None:
+            if len(self._resamplers) >= _MAX_RESAMPLERS:
+                self._resamplers.pop(next(iter(self._resamplers))).close()
+            found = Resampler(self._context, camera, places)
+        self._resamplers[key] = found
+        return found
+
+    def _resolve(self, smooth: Target, target: Target) -> None:
+        """Puts the mean of the samples, in linear light, into the colours of a target."""
+        gl = self._gl
+        gl.glEnable(GL.FRAMEBUFFER_SRGB)
+        width, height = target.width, target.height
+        gl.glBlitNamedFramebuffer(
+            smooth.framebuffer,
+            target.color_framebuffer,
+            0,
+            0,
+            width,
+            height,
+            0,
+            0,
+            width,
+            height,
+            GL.COLOR_BUFFER_BIT,
+            GL.NEAREST,
+        )
+
+    def close(self) -> None:
+        """Frees everything; a second call does nothing."""
+        targets, resamplers = self._targets, self._resamplers
+        self._targets, self._resamplers = {}, {}
+        for target in targets.values():
+            target.close()
+        for resampler in resamplers.values():
+            resampler.close()
+
+
+def _picture(shot: Shot, before: Mat4) -> Picture:
+    camera = shot.camera
+    return Picture(shot.T_world_camera, _intrinsics(camera), camera.width, camera.height, camera.near, shot.x, shot.y, before)
+
+
+def _view_picture(shot: Shot, view: View, before: Mat4, place: tuple[int, int]) -> Picture:
+    T_camera_view = np.eye(4)
+    T_camera_view[:3, :3] = view.R_camera_view
+    return Picture(
+        shot.T_world_camera @ T_camera_view,
+        view.intrinsics,
+        view.width,
+        view.height,
+        shot.camera.near,
+        *place,
+        before @ T_camera_view,
+    )

@@ -1,0 +1,98 @@
+"""What surfaces wear beside their base colour: textures of roughness, normals, occlusion and emission, and the pictures of patterns."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.render.batching.batches import Batches
+from gibson_sim.render.context import GlContext, gl as GL
+
+_FIRST_UNIT, _PATTERNS = 1, 8
+_NEUTRAL = ((255, 255, 255), (128, 128, 255), (255, 255, 255), (255, 255, 255))
+"""Of metallic-roughness, normals, occlusion, emission."""
+_EMISSION = 3
+
+
+class MaterialMaps:
+    """Those textures on the GPU.
+
+    Args:
+        context: where; it must be current in every call.
+        batches: whose.
+    """
+
+    def __init__(self, context: GlContext, batches: Batches) -> None:
+        self._gl = GL.Gl(context)
+        self.bytes = 0
+        self._textures: dict[tuple[int, bool], int] = {}
+        self._neutral: dict[int, int] = {}
+        self._pattern = 0
+        try:
+            self._sets = [[self._of(source, k) for k, source in enumerate(found)] for found in batches.map_sets]
+            if len(batches.patterns):
+                self._pattern = self._layers(batches.patterns)
+        except BaseException:
+            self.close()
+            raise
+
+    def _of(self, source: Any, kind: int) -> int:
+        """Returns the texture of an image, or one that changes nothing."""
+        if source is None:
+            if kind not in self._neutral:
+                self._neutral[kind] = self._texture(np.array([[_NEUTRAL[kind]]], dtype=np.uint8), False)
+            return self._neutral[kind]
+        key = (id(source), kind == _EMISSION)
+        if key not in self._textures:
+            self._textures[key] = self._texture(source.pixels, kind == _EMISSION)
+        return self._textures[key]
+
+    def _texture(self, pixels: NDArray[np.uint8], srgb: bool) -> int:
+        gl = self._gl
+        height, width, channels = pixels.shape
+        pixels = np.ascontiguousarray(pixels)
+        texture = gl.create("glCreateTextures", GL.TEXTURE_2D)
+        gl.glTextureStorage2D(texture, max(width, height).bit_length(), GL.SRGB8_ALPHA8 if srgb else GL.RGBA8, width, height)
+        gl.glPixelStorei(GL.UNPACK_ALIGNMENT, 1)
+        form = GL.RGB if channels == 3 else GL.RGBA
+        gl.glTextureSubImage2D(texture, 0, 0, 0, width, height, form, GL.UNSIGNED_BYTE, pixels.ctypes.data)
+        self._finish(texture, width * height)
+        return texture
+
+    def _layers(self, pictures: NDArray[np.uint8]) -> int:
+        gl = self._gl
+        layers, height, width, _ = pictures.shape
+        pictures = np.ascontiguousarray(pictures)
+        texture = gl.create("glCreateTextures", GL.TEXTURE_2D_ARRAY)
+        gl.glTextureStorage3D(texture, max(width, height).bit_length(), GL.SRGB8_ALPHA8, width, height, layers)
+        gl.glPixelStorei(GL.UNPACK_ALIGNMENT, 1)
+        gl.glTextureSubImage3D(texture, 0, 0, 0, 0, width, height, layers, GL.RGB, GL.UNSIGNED_BYTE, pictures.ctypes.data)
+        self._finish(texture, width * height * layers)
+        return texture
+
+    def _finish(self, texture: int, pixels: int) -> None:
+        self._gl.glGenerateTextureMipmap(texture)
+        self._gl.glTextureParameteri(texture, GL.TEXTURE_MIN_FILTER, GL.LINEAR_MIPMAP_LINEAR)
+        self._gl.glTextureParameteri(texture, GL.TEXTURE_MAG_FILTER, GL.LINEAR)
+        self.bytes += pixels * 4 * 4 // 3
+
+    def bind(self) -> None:
+        """Makes the patterns what the programs see."""
+        if self._pattern:
+            self._gl.glBindTextureUnit(_PATTERNS, self._pattern)
+            self._gl.glBindSampler(_PATTERNS, 0)
+
+    def bind_maps(self, number: int) -> None:
+        """Makes one of ``Batches.map_sets`` what the programs see."""
+        for unit, texture in enumerate(self._sets[number], _FIRST_UNIT):
+            self._gl.glBindTextureUnit(unit, texture)
+            self._gl.glBindSampler(unit, 0)
+
+    def close(self) -> None:
+        """Frees them; a second call does nothing."""
+        textures = [*self._textures.values(), *self._neutral.values(), *([self._pattern] if self._pattern else [])]
+        self._textures, self._neutral, self._pattern = {}, {}, 0
+        for texture in textures:
+            self._gl.delete("glDeleteTextures", texture)

@@ -1,0 +1,243 @@
+"""Turns what was drawn into the arrays of a ``Frame`` on the GPU itself: one compute pass for any number of cameras, one buffer out.
+
+The values are those of the host's readback, to the bit, so that callers see no difference between the two. Arrays stand one behind
+the other in the buffer, each row by row from the top of the image, without gaps: what a tensor wants to see.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import RenderError
+from gibson_sim.render.context import GlContext, gl as GL
+from gibson_sim.render.draw.screen_pass import shader_text
+from gibson_sim.render.draw.target import Target
+from gibson_sim.render.readback.frames import Shot, rays_f32
+from gibson_sim.render.readback.pixel_buffers import GlBuffer
+from gibson_sim.types import CameraSpec, Output
+
+ORDER: tuple[Output, ...] = ("rgb", "depth", "semantic", "instance", "normal", "normal_world", "position", "flow")
+"""In the order of ``Job.first`` in shaders/pack.comp."""
+DTYPES: dict[Output, tuple[type[np.generic], int]] = {
+    "rgb": (np.uint8, 3), "depth": (np.float32, 1), "semantic": (np.uint16, 1), "instance": (np.uint16, 1),
+    "normal": (np.float32, 3), "normal_world": (np.float32, 3), "position": (np.float32, 3), "flow": (np.float32, 2),
+}  # fmt: skip
+"""Type and channels of each array, as in ``Frame``."""
+
+_JOB = np.dtype(
+    [
+        ("rect", "<i4", 4),
+        ("first", "<u4", 8),
+        ("R_t", "<f4", (3, 4)),
+        ("near", "<f4"),
+        ("least", "<f4"),
+        ("ray", "<u4"),
+        ("", "<u4"),
+    ]
+)
+_NOT_WANTED = 0xFFFFFFFF
+_Optics = tuple[Any, ...]
+_ALIGNMENT = 256
+_VIEWS: dict[str, tuple[int, int]] = {
+    "color": (0, GL.RGBA8UI), "depth": (1, 0), "LABELS": (2, 0), "NORMALS": (3, GL.RGBA16UI), "FLOW": (4, GL.RG32UI),
+}  # fmt: skip
+"""Texture unit, and the format of whole numbers that shows the same bytes (0 = the texture itself will do)."""
+_ALL_BARRIERS = 0xFFFFFFFF
+_JOBS, _PACKED, _RAYS = 5, 6, 7
+_GROUP_PIXELS = 256
+
+
+@dataclass(frozen=True, slots=True)
+class Stack:
+    """Where one output of like cameras stands in the packed buffer: one array a camera, evenly apart."""
+
+    output: Output
+    cameras: tuple[int, ...]
+    """Numbers of the cameras, in order."""
+    offset: int
+    """Bytes to the first array."""
+    stride: int
+    """Bytes from one array to the next."""
+    shape: tuple[int, ...]
+    """Of each array."""
+    steps: tuple[int, ...]
+    """Elements from one index to the next, on each axis."""
+    type_name: str
+    """NumPy's and PyTorch's name of the elements' type."""
+    itemsize: int
+    """Bytes of an element."""
+
+    @property
+    def nbytes(self) -> int:
+        """How many bytes each array takes."""
+        return math.prod(self.shape) * self.itemsize
+
+
+@lru_cache(maxsize=64)
+def layout(makes: tuple[tuple[int, int, tuple[Output, ...]], ...]) -> tuple[tuple[Stack, ...], int]:
+    """Returns where everything goes, and how many bytes that takes.
+
+    Args:
+        makes: width, height and outputs of each camera.
+    """
+    alike: dict[tuple[int, int, frozenset[Output]], list[int]] = {}
+    for k, (width, height, outputs) in enumerate(makes):
+        alike.setdefault((width, height, frozenset(outputs)), []).append(k)
+    stacks: list[Stack] = []
+    offset = 0
+    for (width, height, wanted), cameras in alike.items():
+        pixels = -(-width * height // 4) * 4  # the shader writes four at a time
+        for output in ORDER:
+            if output in wanted:
+                kind, channels = DTYPES[output]
+                dtype = np.dtype(kind)
+                shape = (height, width) if channels == 1 else (height, width, channels)
+                stride = pixels * channels * dtype.itemsize
+                steps = (width, 1) if channels == 1 else (width * channels, channels, 1)
+                stacks.append(Stack(output, tuple(cameras), offset, stride, shape, steps, dtype.name, dtype.itemsize))
+                offset += -(-stride * len(cameras) // _ALIGNMENT) * _ALIGNMENT
+    return tuple(stacks), offset
+
+
+class Packer:
+    """The compute pass, and the buffer that it fills.
+
+    Args:
+        context: where; it must be current in every call.
+        on_free: is told of a buffer that is about to be freed.
+    """
+
+    def __init__(self, context: GlContext, on_free: Callable[[GlBuffer], None] | None = None) -> None:
+        self._context, self._on_free = context, on_free
+        self._gl = GL.Gl(context)
+        self.limit = self._gl.integer(GL.MAX_SHADER_STORAGE_BLOCK_SIZE)
+        """Bytes that one call can pack."""
+        self._proven = False
+        self._shader: moderngl.ComputeShader | None = context.gl.compute_shader(shader_text("pack.comp"))
+        self._packed: GlBuffer | None = None
+        self._jobs: GlBuffer | None = None
+        self._ray_buffer: GlBuffer | None = None
+        self._ray_first: dict[_Optics, int] = {}
+        self._last_jobs: tuple[tuple[Any, ...], NDArray[np.void]] | None = None
+
+    def pack(self, target: Target, shots: Sequence[Shot]) -> tuple[GlBuffer, tuple[Stack, ...], int]:
+        """Packs what was drawn and returns at once: the buffer (valid until the next call), what stands where, and how many bytes.
+
+        Raises:
+            RenderError: closed, or the driver has not that much memory.
+        """
+        if self._shader is None:
+            raise RenderError("the packer is closed; make a new one")
+        assert target.samples == 1
+        makes = tuple((s.camera.width, s.camera.height, s.camera.outputs) for s in shots)
+        stacks, size = layout(makes)
+        if size > self.limit:
+            raise RenderError(
+                f"{len(shots)} images take {size / 1e6:,.0f} MB as tensors, {self._context.device.renderer} packs at most "
+                f"{self.limit / 1e6:,.0f} MB in one call; ask for fewer cameras or outputs at a time"
+            )
+        if self._packed is None or self._packed.size < size:
+            self._free_packed()
+            self._packed = GlBuffer(self._context, size, GL.DYNAMIC_COPY)
+        jobs = self._table(shots, stacks)
+        if self._jobs is None or self._jobs.size < jobs.nbytes:
+            if self._jobs is not None:
+                self._jobs.close()
+            self._jobs = GlBuffer(self._context, jobs.nbytes, GL.DYNAMIC_COPY)
+        self._jobs.write(jobs)
+        for binding, buffer in ((_JOBS, self._jobs), (_PACKED, self._packed), (_RAYS, self._ray_buffer)):
+            self._gl.glBindBufferBase(GL.SHADER_STORAGE_BUFFER, binding, 0 if buffer is None else buffer.name)
+        views = self._bind(target)
+        most = max(make[0] * make[1] for make in makes)
+        self._shader.run(-(-most // _GROUP_PIXELS), len(shots))
+        self._gl.glMemoryBarrier(_ALL_BARRIERS)
+        if not self._proven:
+            # Once only: asking makes some drivers wait.
+            error = self._gl.glGetError()
+            if error:
+                raise RenderError(f"{self._context.device.renderer} cannot pack images (error 0x{error:x}); update its driver")
+            self._proven = True
+        for view in views:
+            self._gl.delete("glDeleteTextures", view)
+        return self._packed, stacks, size
+
+    def _bind(self, target: Target) -> list[int]:
+        """Binds the textures, those that OpenGL would decode as views of their bytes; returns the names of the views."""
+        gl = self._gl
+        views: list[int] = []
+        for name, (unit, form) in _VIEWS.items():
+            texture = target.textures.get(name, 0)
+            if texture and form:
+                view = gl.create("glGenTextures")
+                gl.glTextureView(view, GL.TEXTURE_2D, texture, form, 0, 1, 0, 1)
+                for which in (GL.TEXTURE_MIN_FILTER, GL.TEXTURE_MAG_FILTER):
+                    gl.glTextureParameteri(view, which, GL.NEAREST)  # with the default a texture of whole numbers is incomplete
+                views.append(view)
+                texture = view
+            gl.glBindSampler(unit, 0)
+            gl.glBindTextureUnit(unit, texture)
+        return views
+
+    def _table(self, shots: Sequence[Shot], stacks: Sequence[Stack]) -> NDArray[np.void]:
+        """Returns what the shader must know of each image. All of it but the poses is the same as long as the cameras are."""
+        key = tuple((s.camera.width, s.camera.height, s.camera.outputs, s.camera.near, s.camera.far, s.x, s.y) for s in shots)
+        if self._last_jobs is None or self._last_jobs[0] != key:
+            jobs = np.zeros(len(shots), dtype=_JOB)
+            jobs["rect"] = [(s.x, s.y, s.camera.width, s.camera.height) for s in shots]
+            jobs["near"] = [s.camera.near for s in shots]
+            jobs["least"] = jobs["near"] / np.array([s.camera.far for s in shots], dtype=np.float32)
+            jobs["first"] = _NOT_WANTED
+            for stack in stacks:
+                first = (stack.offset + stack.stride * np.arange(len(stack.cameras))) // 4
+                jobs["first"][list(stack.cameras), ORDER.index(stack.output)] = first
+            self._last_jobs = (key, jobs)
+        jobs = self._last_jobs[1]
+        jobs["R_t"] = np.array([s.T_world_camera for s in shots])[:, :3]
+        seeing = [(k, _optics(s.camera), s.camera) for k, s in enumerate(shots) if "position" in s.camera.outputs]
+        if seeing:
+            self._provide_rays({optics: camera for _, optics, camera in seeing})
+            jobs["ray"][[k for k, _, _ in seeing]] = [self._ray_first[optics] for _, optics, _ in seeing]
+        return jobs
+
+    def _provide_rays(self, wanted: dict[_Optics, CameraSpec]) -> None:
+        """Brings the rays of these cameras to the GPU unless they are there."""
+        if wanted.keys() <= self._ray_first.keys():
+            return
+        tables = [rays_f32(camera).reshape(-1) for camera in wanted.values()]
+        ends = np.cumsum([len(t) for t in tables]).tolist()
+        self._ray_first = dict(zip(wanted, [0, *ends[:-1]], strict=True))
+        if self._ray_buffer is not None:
+            self._ray_buffer.close()
+        self._ray_buffer = GlBuffer(self._context, 4 * ends[-1], GL.DYNAMIC_COPY)
+        self._ray_buffer.write(np.concatenate(tables))
+
+    def _free_packed(self) -> None:
+        packed, self._packed = self._packed, None
+        if packed is not None:
+            if self._on_free is not None:
+                self._on_free(packed)
+            packed.close()
+
+    def close(self) -> None:
+        """Frees everything; a second call does nothing. The context must be current."""
+        self._free_packed()
+        for buffer in (self._jobs, self._ray_buffer):
+            if buffer is not None:
+                buffer.close()
+        self._jobs = self._ray_buffer = None
+        if self._shader is not None:
+            self._shader.release()
+            self._shader = None
+
+
+def _optics(camera: CameraSpec) -> _Optics:
+    """Returns all that the rays of a camera depend on: cameras of one make share theirs."""
+    return (camera.width, camera.height, camera.projection, camera.fov_y, camera.fov, camera.matrix, camera.distortion)

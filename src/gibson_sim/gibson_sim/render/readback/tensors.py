@@ -1,0 +1,188 @@
+"""Frames as tensors: on the GPU that drew them where CUDA is there, without a byte going through the host; else on the CPU.
+
+The kind of tensor follows from what is installed, never from the images:
+
+* NVIDIA GPU, ``cuda-bindings``, PyTorch with CUDA: ``torch.Tensor`` on that GPU;
+* NVIDIA GPU, ``cuda-bindings``: ``DeviceArray``, which JAX, CuPy and others take by DLPack;
+* else PyTorch: ``torch.Tensor`` on the CPU;
+* else NumPy arrays, which carry DLPack too.
+
+All values are those of ``Frame``. PyTorch is not needed; it is loaded here, lazily, because only it can allocate its tensors.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import GraphicsUnavailableError, RenderError
+from gibson_sim.render.context import GlContext
+from gibson_sim.render.draw.target import Target
+from gibson_sim.render.readback.cuda import CudaDriver, CudaLink, CudaPython
+from gibson_sim.render.readback.dlpack import DeviceArray, Memory
+from gibson_sim.render.readback.frames import Shot
+from gibson_sim.render.readback.packing import ORDER, Packer, Stack
+from gibson_sim.types import CameraSpec, Frame
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TensorFrame:
+    """What one camera saw at one tick, in tensors that belong to the caller. Shapes, types and values are those of ``Frame``.
+
+    The tensors of one call share one piece of memory, which is freed with the last of them.
+    """
+
+    camera: CameraSpec
+    stamp_ns: int
+    T_world_camera: NDArray[np.float64]
+    """(4, 4), optical frame, on the host."""
+    rgb: Any = None
+    """(height, width, 3) uint8."""
+    depth: Any = None
+    """(height, width) float32, metres, +inf = nothing."""
+    semantic: Any = None
+    """(height, width) uint16. PyTorch computes little with this type: ``.long()`` makes indices of it."""
+    instance: Any = None
+    """(height, width) uint16."""
+    normal: Any = None
+    """(height, width, 3) float32, optical frame."""
+    normal_world: Any = None
+    """(height, width, 3) float32, world frame."""
+    position: Any = None
+    """(height, width, 3) float32, world frame, metres, NaN = nothing."""
+    flow: Any = None
+    """(height, width, 2) float32, pixels, NaN = nothing."""
+
+
+class Tensors:
+    """Makes tensors of what is drawn in one context.
+
+    Args:
+        context: where it is drawn; it must be current in every call.
+        driver: CUDA; None = NVIDIA's if it is there.
+
+    Raises:
+        GraphicsUnavailableError: CUDA is there and the GPU is NVIDIA's, yet CUDA does not show it.
+    """
+
+    def __init__(self, context: GlContext, driver: CudaDriver | None = None) -> None:
+        self._torch = _import_torch()
+        self._link: CudaLink | None = None
+        self._packer: Packer | None = None
+        driver = driver or _cuda_of(context)
+        if driver is not None:
+            self._link = CudaLink(context, driver)
+            self._packer = Packer(context, on_free=self._link.forget)
+        cuda = self._torch is not None and driver is not None and _has_device(self._torch, self._link, driver)
+        self._allocates = self._torch if cuda else None
+        self.device = "cpu" if self._link is None else f"cuda:{self._link.device.ordinal}"
+        """Where the tensors are, as PyTorch names it."""
+
+    @property
+    def on_gpu(self) -> bool:
+        """Whether ``of_target`` can be used; else ``of_frames``."""
+        return self._link is not None
+
+    def of_target(self, target: Target, shots: Sequence[Shot]) -> list[TensorFrame]:
+        """Returns what was drawn, one for each rectangle of the target, as tensors on the GPU.
+
+        Nothing waits for the GPU where PyTorch allocates: the tensors are ready in the order of its current stream, as all its results.
+
+        Raises:
+            RenderError: closed, or no memory is left on the GPU.
+        """
+        if self._packer is None or self._link is None:
+            raise RenderError("there is no CUDA here, or the tensors are closed; make them of frames")
+        if not shots:
+            return []
+        buffer, stacks, size = self._packer.pack(target, shots)
+        arrays: list[dict[str, Any]] = [{} for _ in shots]
+        if self._allocates is not None:
+            torch, device = self._allocates, _torch_device(self._link)
+            memory = torch.empty(size, dtype=torch.uint8, device=device)
+            stream = torch.cuda.current_stream(device).cuda_stream if device.type == "cuda" else 0
+            self._link.copy(buffer, size, memory.data_ptr(), stream)
+            for stack, tensors in _torch_views(memory, stacks, torch):
+                for k, array in zip(stack.cameras, tensors, strict=True):
+                    arrays[k][stack.output] = array
+        else:
+            driver = self._link.driver
+            owned = Memory(driver.allocate(size), (driver.dlpack_type, self._link.device.ordinal), driver.free)
+            self._link.copy(buffer, size, owned.address)
+            driver.synchronize(0)
+            for stack in stacks:
+                for i, k in enumerate(stack.cameras):
+                    arrays[k][stack.output] = DeviceArray(
+                        owned, stack.offset + i * stack.stride, np.dtype(stack.type_name), stack.shape
+                    )
+        return [TensorFrame(s.camera, s.stamp_ns, s.T_world_camera, **a) for s, a in zip(shots, arrays, strict=True)]
+
+    def of_frames(self, frames: Sequence[Frame]) -> list[TensorFrame]:
+        """Returns frames as tensors on the CPU that share their memory."""
+        return [tensors_of_frame(frame, self._torch) for frame in frames]
+
+    def close(self) -> None:
+        """Frees everything but what callers hold; a second call does nothing. The context must be current."""
+        packer, link, self._packer, self._link = self._packer, self._link, None, None
+        if packer is not None:
+            packer.close()
+        if link is not None:
+            link.close()
+
+
+def tensors_of_frame(frame: Frame, torch: Any = None) -> TensorFrame:
+    """Returns a frame as tensors on the CPU that share its memory: PyTorch's if given, else its own NumPy arrays."""
+    arrays = {name: getattr(frame, name) for name in ORDER if getattr(frame, name) is not None}
+    if torch is not None:
+        arrays = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in arrays.items()}
+    return TensorFrame(frame.camera, frame.stamp_ns, frame.T_world_camera, **arrays)
+
+
+def _import_torch() -> Any:
+    """Returns PyTorch, or None where it is not installed or too old to have 16-bit labels."""
+    try:
+        import torch
+    except ImportError:
+        return None
+    if not hasattr(torch, "uint16"):
+        _log.warning("PyTorch %s has no uint16: images are handed out by DLPack instead; install 2.3 or later", torch.__version__)
+        return None
+    return torch
+
+
+def _cuda_of(context: GlContext) -> CudaDriver | None:
+    """Returns CUDA if the context draws on a GPU of NVIDIA and CUDA is installed; says so where only the package is missing."""
+    if context.device.software or "nvidia" not in context.device.vendor.lower():
+        return None
+    try:
+        return CudaPython()
+    except GraphicsUnavailableError as e:
+        _log.warning("tensors are made on the CPU: %s", e)
+        return None
+
+
+def _has_device(torch: Any, link: CudaLink | None, driver: CudaDriver) -> bool:
+    """Returns whether this PyTorch can allocate where CUDA draws: packages for the CPU alone cannot."""
+    return link is not None and (_torch_device(link).type == "cpu" or bool(torch.cuda.is_available()))
+
+
+def _torch_device(link: CudaLink) -> Any:
+    import torch
+
+    return torch.device("cpu") if link.driver.dlpack_type == 1 else torch.device("cuda", link.device.ordinal)
+
+
+def _torch_views(memory: Any, stacks: Sequence[Stack], torch: Any) -> Iterator[tuple[Stack, Sequence[Any]]]:
+    """Returns the tensors of each stack. PyTorch cuts them in few calls: with some for each of many views, those would take longest."""
+    whole = {name: memory.view(getattr(torch, name)) for name in {stack.type_name for stack in stacks}}
+    for stack in stacks:
+        item = stack.itemsize
+        shape, strides = (len(stack.cameras), *stack.shape), (stack.stride // item, *stack.steps)
+        yield stack, torch.as_strided(whole[stack.type_name], shape, strides, stack.offset // item).unbind(0)

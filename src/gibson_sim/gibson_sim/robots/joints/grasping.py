@@ -1,0 +1,145 @@
+"""The rules of grasping: when a gripper takes hold, of what, and when it lets go. Pure.
+
+``PhysicsWorld.grasp``, ``release`` and ``grasp_state`` obey them, and ``docs/manipulation.md`` explains them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from gibson_sim.description.urdf import UrdfModel
+from gibson_sim.errors import ConfigError
+from gibson_sim.quoting import quoted
+from gibson_sim.robots.joints.commands import JointCommand, JointEfforts, JointPositions, JointTrajectory, JointVelocities
+from gibson_sim.robots.spec import GripperSpec
+
+GraspMode = Literal["physical", "assisted", "sticky"]
+GRASP_MODES: tuple[GraspMode, ...] = ("physical", "assisted", "sticky")
+GripperMove = Literal["closes", "opens", "stays"]
+_SMALL_MOVE = 0.02
+"""Part of its range by which a gripper must be told to move for it to count as closing or opening."""
+_HANDLES = ("handle", "knob")
+"""Words in the names of links that hands are made for."""
+
+
+@dataclass(frozen=True, slots=True)
+class GraspSettings:
+    """How grippers hold."""
+
+    mode: GraspMode = "assisted"
+    """physical: friction alone. assisted: a ball joint to what is in reach. sticky: rigid, to what the gripper touches."""
+    distance: float = 0.2
+    """assisted: metres from the tool's origin to a surface within which it takes hold."""
+    max_force: float = 500.0
+    """N: the most that a joint between gripper and object bears; sticky: also N m. More pulls them apart."""
+    release_force: float = 0.0
+    """N above which it lets go; 0 = never."""
+    release_angle: float = math.radians(90.0)
+    """Radians from closed beyond which it lets go of a door; 0 = never."""
+
+    def __post_init__(self) -> None:
+        if self.mode not in GRASP_MODES:
+            raise ConfigError(f"grasp mode is {quoted(self.mode)}, must be one of {', '.join(GRASP_MODES)}")
+        for name, unit in (("distance", "m"), ("max_force", "N")):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ConfigError(f"grasp {name} is {value} {unit}, must be a finite number above 0")
+        for name, unit in (("release_force", "N"), ("release_angle", "rad")):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise ConfigError(f"grasp {name} is {value} {unit}, must be a finite number, 0 or more; 0 = never let go for it")
+
+
+@dataclass(frozen=True, slots=True)
+class GraspState:
+    """What a gripper holds."""
+
+    arm: str
+    mode: GraspMode
+    holding: bool = False
+    body: str = ""
+    """What it holds: a body or another robot."""
+    link: str = ""
+    force: float = 0.0
+    """N, that the joint bore in the last step; physical: those along the normals of all points of contact, added up."""
+    torque: float = 0.0
+    """N m, that a rigid joint bore in the last step."""
+    reason: str = ""
+    """Why it holds nothing, or nothing any more; empty where it was not told to, or is open."""
+
+
+class Candidate(NamedTuple):
+    """A link that a gripper could take hold of."""
+
+    body: str
+    link: str
+    distance: float
+    """Metres; what is least is best."""
+
+
+def is_handle(link: str) -> bool:
+    """Returns whether a link is a handle or a knob, by its name."""
+    return any(word in link.lower() for word in _HANDLES)
+
+
+def best_candidate(candidates: Iterable[Candidate], within: float) -> Candidate | None:
+    """Returns what a gripper takes hold of: the nearest handle or knob within a distance, else the nearest link; None = nothing."""
+    near = [candidate for candidate in candidates if candidate.distance < within]
+    return min(near, key=lambda c: (not is_handle(c.link), c.distance, c.body, c.link), default=None)
+
+
+def gripper_move(gripper: GripperSpec, command: JointCommand, positions: Mapping[str, float]) -> GripperMove:
+    """Returns what a command wants of a gripper whose joints are at ``positions``: by the first of its joints that it names.
+
+    A command without names counts by the joints in ``positions``, in their order.
+    """
+    if isinstance(command, JointTrajectory):
+        rows = command.points[-1].positions if command.points else ()
+    elif isinstance(command, JointPositions):
+        rows = command.positions
+    else:
+        rows = command.efforts if isinstance(command, JointEfforts) else command.velocities
+    wanted = dict(zip(command.names or tuple(positions), rows, strict=False))
+    span = gripper.closed - gripper.open
+    low, high = sorted((gripper.open, gripper.closed))
+    for joint in gripper.joints:
+        if joint in wanted:
+            speeds = isinstance(command, (JointVelocities, JointEfforts))
+            # What presses a finger beyond its end does not open the hand: it is told to close all the same.
+            now = min(max(positions[joint], low), high)
+            # A speed has no end: any is enough.
+            change = math.copysign(1.0, span) * wanted[joint] if speeds else (wanted[joint] - now) / span
+            least = 0.0 if speeds else _SMALL_MOVE
+            return "closes" if change > least else "opens" if change < -least else "stays"
+    return "stays"
+
+
+def hinge_of(model: UrdfModel, link: str) -> str | None:
+    """Returns the joint on which a link's door turns: the first turning one from the root to the link; None = nothing turns it."""
+    above = {joint.child: joint for joint in model.joints}
+    hinge = None
+    while link in above:
+        joint = above[link]
+        if joint.kind in ("revolute", "continuous"):
+            hinge = joint.name
+        link = joint.parent
+    return hinge
+
+
+def reason_to_let_go(settings: GraspSettings, force: float, hinge: float | None) -> str:
+    """Returns why a gripper lets go, in words; empty = it holds on.
+
+    Args:
+        settings: Which limits there are.
+        force: N, that the joint bore in the last step.
+        hinge: Radians from closed of the door that it holds; None = it holds no door.
+    """
+    if settings.release_force and force > settings.release_force:
+        return f"let go: {force:.0f} N is more than the set force, {settings.release_force:g} N"
+    if settings.release_angle and hinge is not None and abs(hinge) > settings.release_angle:
+        most = math.degrees(settings.release_angle)
+        return f"let go: the door is {math.degrees(abs(hinge)):.1f} degrees open, more than the set angle, {most:g} degrees"
+    return ""

@@ -1,0 +1,115 @@
+"""Makes another link the root of a URDF: the frame of odometry, which is at floor height. Pure."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from gibson_sim.description.urdf import UrdfModel
+from gibson_sim.description.xacro import keep_description
+from gibson_sim.errors import RobotError
+from gibson_sim.geometry.transforms import Mat4, invert, matrix_from_pose
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import parse_xml, read_file
+
+FOOTPRINT = "base_footprint"
+"""Link that is put on the floor below a root that is above it."""
+
+
+def with_base(model: UrdfModel, base: str, height: float, drops: Mapping[str, float], frictions: Mapping[str, float]) -> Path:
+    """Returns a URDF whose root is the frame of odometry: the file itself if nothing is to be changed, else one in the cache.
+
+    Args:
+        model: the description.
+        base: a link that only fixed joints join to the root.
+        height: metres of the root above the floor; not 0 = a link below it, named ``base_footprint``, becomes the root.
+        drops: joint -> metres by which its child hangs lower than the file says.
+        frictions: link -> Coulomb friction, in the place of what the file says.
+
+    Raises:
+        RobotError: ``base`` cannot be the root, or there is no such joint.
+    """
+    if base == model.root and height == 0.0 and not any(drops.values()) and not frictions:
+        return model.path
+    if base not in model.fixed_to_root():
+        known = ", ".join(model.fixed_to_root())
+        raise RobotError(
+            f"base_link is {quoted(base)}, must be the root link of {model.path.name}, {quoted(model.root)}, or one that fixed joints "
+            f"join to it: {known}"
+        )
+    top = parse_xml(read_file(model.path))
+    _lower(top, model, drops)
+    _rub(top, model, frictions)
+    if base != model.root:
+        _turn_over(top, model, base)
+    if height != 0.0:
+        taken = {link.name for link in model.links}
+        name = (
+            FOOTPRINT
+            if FOOTPRINT not in taken
+            else next(f"floor_{i}" for i in range(len(taken) + 1) if f"floor_{i}" not in taken)
+        )
+        ET.SubElement(top, "link", name=name)
+        under = np.eye(4)
+        under[2, 3] = height
+        _fixed(top, f"{name}_to_{base}".replace("/", "_"), name, base, under)
+    return keep_description(ET.tostring(top, encoding="utf-8", xml_declaration=True), model.path)
+
+
+def _lower(top: ET.Element, model: UrdfModel, drops: Mapping[str, float]) -> None:
+    """Moves the origins of joints down, along the z axis of the root."""
+    transforms = model.transforms()
+    elements = {element.get("name"): element for element in top.findall("joint")}
+    for name, drop in drops.items():
+        joint = model.joint(name)
+        down = transforms[joint.parent][:3, :3].T @ np.array([0.0, 0.0, -drop])
+        origin = elements[name].find("origin")
+        if origin is None:
+            origin = ET.SubElement(elements[name], "origin")
+        origin.set("xyz", " ".join(f"{c:.9g}" for c in np.array(joint.pose.position) + down))
+
+
+def _rub(top: ET.Element, model: UrdfModel, frictions: Mapping[str, float]) -> None:
+    """Gives links their friction."""
+    elements = {element.get("name"): element for element in top.findall("link")}
+    for name, value in frictions.items():
+        if value < 0.0:
+            raise RobotError(f"friction of {quoted(name)} is {value:g}, must not be negative")
+        link = elements[model.link(name).name]
+        contact = link.find("contact")
+        if contact is None:
+            contact = ET.SubElement(link, "contact")
+        given = contact.find("lateral_friction")
+        if given is None:
+            given = ET.SubElement(contact, "lateral_friction")
+        given.set("value", f"{value:.9g}")
+
+
+def _turn_over(top: ET.Element, model: UrdfModel, base: str) -> None:
+    """Turns the fixed joints between the root and ``base`` over, so that each child becomes the parent."""
+    by_child = {joint.child: joint for joint in model.joints}
+    elements = {element.get("name"): element for element in top.findall("joint")}
+    name = base
+    while name != model.root:
+        joint = by_child[name]
+        top.remove(elements[joint.name])
+        _fixed(top, joint.name, joint.child, joint.parent, invert(matrix_from_pose(joint.pose)))
+        name = joint.parent
+
+
+def _fixed(top: ET.Element, name: str, parent: str, child: str, T_parent_child: Mat4) -> None:
+    joint = ET.SubElement(top, "joint", name=name, type="fixed")
+    ET.SubElement(joint, "parent", link=parent)
+    ET.SubElement(joint, "child", link=child)
+    r = T_parent_child[:3, :3]
+    pitch = np.arctan2(-r[2, 0], np.hypot(r[0, 0], r[1, 0]))
+    if np.hypot(r[0, 0], r[1, 0]) > 1e-9:
+        roll, yaw = np.arctan2(r[2, 1], r[2, 2]), np.arctan2(r[1, 0], r[0, 0])
+    else:
+        roll, yaw = np.arctan2(-r[1, 2], r[1, 1]), 0.0
+    ET.SubElement(
+        joint, "origin", xyz=" ".join(f"{c:.9g}" for c in T_parent_child[:3, 3]), rpy=f"{roll:.9g} {pitch:.9g} {yaw:.9g}"
+    )

@@ -1,0 +1,45 @@
+"""Numbers of all that a node publishes at a tick, to compare two runs by."""
+
+from __future__ import annotations
+
+from array import array
+from typing import Any
+
+from rclpy.node import Node
+
+from gibson_msgs.msg import TickDigest
+from gibson_sim.digests import digest_of
+from gibson_sim.ros import conversions
+from gibson_sim.ros.topics import names, qos
+
+
+class DigestPublisher:
+    """Collects digests of what is published and publishes them once a tick.
+
+    Publishes:
+        tick_digest (gibson_msgs/TickDigest).
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._publisher = node.create_publisher(TickDigest, names.TICK_DIGEST, **qos.overridable(qos.INPUTS))
+        self._digests: dict[str, int] = {}
+
+    def add(self, topic: str, *values: Any) -> None:
+        """Takes what is published on a topic; a second time before the next tick adds to the first."""
+        topic, digest = self._node.resolve_topic_name(topic), digest_of(values)
+        before = self._digests.get(topic)
+        self._digests[topic] = digest if before is None else digest_of((before, digest))
+
+    def publish(self, stamp_ns: int, epoch: int, step: int) -> None:
+        """Publishes what was collected, if anything was."""
+        if not self._digests:
+            return
+        message = TickDigest(header=conversions.header_to_msg(stamp_ns, ""), epoch=epoch, step=step)
+        message.topics, message.digests = list(self._digests), array("Q", self._digests.values())
+        self._digests = {}
+        self._publisher.publish(message)
+
+    def forget(self) -> None:
+        """Drops what was collected since the last tick: the simulation was reset."""
+        self._digests = {}

@@ -1,0 +1,208 @@
+"""The drive node: drives the robot as a user's own node would, by standard topics alone."""
+
+from __future__ import annotations
+
+import logging
+import os
+import select
+import sys
+import termios
+import time
+import tty
+from typing import Any
+
+from geometry_msgs.msg import Twist, TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+
+from gibson_sim.client_config import DriveConfig
+from gibson_sim.errors import ConfigError
+from gibson_sim.maps.placement import furnished_floor_map
+from gibson_sim.maps.tour import plan_tour
+from gibson_sim.robots import load
+from gibson_sim.robots.path_tracking import PathFollower, ScriptedDrive, scripted_drive
+from gibson_sim.ros import conversions
+from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
+from gibson_sim.ros.nodes.awaited import Awaited
+from gibson_sim.ros.nodes.node_main import run_node, spin_while, started_by_launcher
+from gibson_sim.ros.nodes.params import config_from_parameters
+from gibson_sim.ros.topics import names, qos
+from gibson_sim.ros.topics.matching import wait_until_received
+from gibson_sim.scenes.load import load_scene
+from gibson_sim.scenes.robot_files import load_robot
+
+KEYS = {"w": (1, 0), "x": (-1, 0), "a": (0, 1), "d": (0, -1), "q": (1, 1), "e": (1, -1), "s": (0, 0), " ": (0, 0)}
+"""Key -> direction of (linear, angular)."""
+KEY_HELP = "w forward, x backward, a/d turn left/right, q/e forward and turn, s or space stop, Ctrl-C end"
+TOUR_LENGTH, FORWARD_LENGTH = 30.0, 2.0
+_LIMIT_S, _LAUNCHED_LIMIT_S = 10.0, 60.0
+"""Wall time that it may take until the commands are received, s: beside a simulation that runs, and where a recorder is starting."""
+
+
+class DriveNode(Node):
+    """Follows a tour, a script or the keyboard; ends with exit code 0 when the drive is done.
+
+    Parameters: the fields of ``gibson_sim.config.DriveConfig``.
+
+    Subscribes:
+        ground_truth/odom (nav_msgs/Odometry): where the robot is; each message makes one command, so the drive keeps
+            simulation time at any rate.
+
+    Publishes:
+        cmd_vel (geometry_msgs/Twist, or TwistStamped with ``stamped``); tick_done (gibson_msgs/TickDone), for lockstep.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Reads the script or loads the scene to plan in. ``kwargs`` go to ``rclpy.node.Node``."""
+        super().__init__("drive", **kwargs)
+        self._config = config = config_from_parameters(self, DriveConfig)
+        self._drive: _Drive | None = None
+        self._map = None
+        if config.drive == "keyboard":
+            if not sys.stdin.isatty():
+                raise ConfigError("drive 'keyboard' needs a terminal on standard input; from a script use --drive with a file")
+            self._drive = _KeyboardDrive(config)
+        elif config.drive == "tour":
+            for module in (load_scene.__module__, load.__name__):
+                logging.getLogger(module).setLevel(logging.ERROR)  # the physics node said it all
+            robot = load_robot(config.robot)
+            self._map, self._radius = furnished_floor_map(load_scene(config.scene), robot), robot.radius
+        else:
+            length = config.length or FORWARD_LENGTH
+            self._drive = _ScriptDrive(scripted_drive(config.drive, linear=config.linear, angular=config.angular, length=length))
+        self._message_type = TwistStamped if config.stamped else Twist
+        self._publisher = self.create_publisher(self._message_type, names.CMD_VEL, qos.COMMAND)
+        self._simulation = Awaited.simulation(self, names.GROUND_TRUTH, config.timeout)
+        self._done, self._begun, self._sent = False, False, 0
+        self._begin_at: float | None = None
+        self._lockstep: LockstepParticipant | None = None
+
+    def _look(self) -> None:
+        """Begins once the simulation is there and whoever must receive the commands does: a simulation of ours waits for that."""
+        if self._begun or not self._simulation.look():
+            return
+        if self._begin_at is None:
+            self._begin_at = time.monotonic() + (_LAUNCHED_LIMIT_S if started_by_launcher() else _LIMIT_S)
+        received, wanted = self._publisher.get_subscription_count(), self._config.subscribers
+        if received < wanted:
+            if time.monotonic() < self._begin_at:
+                return
+            kind = self._message_type.__name__
+            self.get_logger().warning(
+                f"{received} of {wanted} subscribers receive {self._publisher.topic_name} as {kind}; drives on"
+            )
+        self._begun = True
+        self.create_subscription(Odometry, names.GROUND_TRUTH, self._on_odometry, qos.STATE)
+        if self._config.drive != "keyboard":  # a person does not answer every tick
+            self._lockstep = LockstepParticipant(self, after=names.GROUND_TRUTH)
+
+    def _on_odometry(self, msg: Odometry) -> None:
+        """Answers each odometry with one command."""
+        if self._done:
+            return
+        x, y, yaw, stamp_ns = conversions.planar_from_odometry(msg)
+        if self._drive is None:
+            self._drive = self._plan(x, y)
+        linear, angular = self._drive.command(x, y, yaw, stamp_ns)
+        self._send(linear, angular, msg.header.stamp)
+        if self._lockstep is not None:
+            self._lockstep.done(msg.header.stamp, (self._publisher.topic_name,))
+        self._done = self._drive.done
+
+    def _plan(self, x: float, y: float) -> _Drive:
+        """Returns a tour that starts at (x, y)."""
+        assert self._map is not None
+        path = plan_tour(self._map, (x, y), self._radius, self._config.length or TOUR_LENGTH)
+        self.get_logger().info(f"tour of {len(path)} points starts at {x:.2f},{y:.2f}")
+        return _TourDrive(PathFollower(path, max_linear=self._config.linear, max_angular=self._config.angular))
+
+    def _send(self, linear: float, angular: float, stamp: Any) -> None:
+        msg = self._message_type()
+        twist = msg
+        if isinstance(msg, TwistStamped):
+            msg.header.stamp, twist = stamp, msg.twist
+        twist.linear.x, twist.angular.z = float(linear), float(angular)
+        self._publisher.publish(msg)
+        self._sent += 1
+
+    def spin(self) -> int:
+        """Drives until the drive is done or the context ends; returns the exit code."""
+        spin_while(self, self._drives_on)
+        wait_until_received(self._publisher)
+        self.get_logger().info(f"{'done' if self._done else 'asked to end'} after {self._sent} commands")
+        return 0
+
+    def _drives_on(self) -> bool:
+        self._look()
+        return not self._done
+
+    def close(self) -> None:
+        """Gives the terminal back."""
+        if self._drive is not None:
+            self._drive.close()
+
+
+class _Drive:
+    """Says what to command at a pose and a time; ``done`` ends the drive."""
+
+    done = False
+
+    def command(self, x: float, y: float, yaw: float, stamp_ns: int) -> tuple[float, float]:
+        """Returns forward speed (m/s) and yaw rate (rad/s)."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Frees what it holds."""
+
+
+class _TourDrive(_Drive):
+    def __init__(self, follower: PathFollower) -> None:
+        self._follower = follower
+
+    def command(self, x: float, y: float, yaw: float, stamp_ns: int) -> tuple[float, float]:
+        command = self._follower.command(x, y, yaw)
+        self.done = self._follower.done
+        return command
+
+
+class _ScriptDrive(_Drive):
+    def __init__(self, script: ScriptedDrive) -> None:
+        self._script, self._start_ns = script, -1
+
+    def command(self, x: float, y: float, yaw: float, stamp_ns: int) -> tuple[float, float]:
+        if self._start_ns < 0:
+            self._start_ns = stamp_ns
+        seconds = (stamp_ns - self._start_ns) / 1e9
+        self.done = seconds >= self._script.duration
+        return self._script.command(seconds)
+
+
+class _KeyboardDrive(_Drive):
+    """Reads single keys from the terminal."""
+
+    def __init__(self, config: DriveConfig) -> None:
+        self._config, self._direction = config, (0, 0)
+        self._terminal = termios.tcgetattr(sys.stdin)
+        tty.setcbreak(sys.stdin)
+        sys.stderr.write(KEY_HELP + "\n")
+
+    def command(self, x: float, y: float, yaw: float, stamp_ns: int) -> tuple[float, float]:
+        while select.select([sys.stdin], [], [], 0.0)[0]:
+            key = os.read(sys.stdin.fileno(), 1).decode(errors="ignore")
+            if not key:
+                self.done = True
+                break
+            self._direction = KEYS.get(key.lower(), self._direction)
+        return self._direction[0] * self._config.linear, self._direction[1] * self._config.angular
+
+    def close(self) -> None:
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, self._terminal)
+
+
+def main(args: list[str] | None = None) -> None:
+    """Runs the drive node."""
+    run_node(DriveNode, args)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,108 @@
+"""What the physics node says of itself: once a second while it runs, and at the end."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from std_msgs.msg import Float64
+
+from gibson_sim.config import PhysicsConfig
+from gibson_sim.ros import conversions
+from gibson_sim.ros.lockstep.journal import Journal
+from gibson_sim.ros.lockstep.lockstep_gate import LockstepGate
+from gibson_sim.ros.lockstep.pacing import Pacer
+from gibson_sim.ros.topics import names, qos
+from gibson_sim.ros.topics.robot_interface import RobotInterface
+from gibson_sim.standard.simulator import Simulator
+from gibson_sim.standard.states import SimulationState
+from gibson_sim.types import NS_PER_S
+
+
+class PhysicsStats:
+    """Counts time, and reports what others count.
+
+    Publishes:
+        real_time_factor (std_msgs/Float64), /diagnostics (diagnostic_msgs/DiagnosticArray).
+    """
+
+    def __init__(
+        self, node: Node, config: PhysicsConfig, simulator: Simulator, pacer: Pacer, journal: Journal, gate: LockstepGate | None
+    ) -> None:
+        self._config, self._simulator, self._pacer, self._journal, self._gate = config, simulator, pacer, journal, gate
+        self._first_step: tuple[int, int] | None = None
+        self._last_step, self._last_report = (0, 0), (0, 0)
+        self._factor_pub = node.create_publisher(Float64, names.REAL_TIME_FACTOR, qos.STATE)
+        self._diagnostics_pub = node.create_publisher(DiagnosticArray, names.DIAGNOSTICS, qos.STATE)
+
+    def begin_step(self, now_ns: int, stamp_ns: int) -> None:
+        """Takes that a step begins, at ``now_ns`` of a steady clock, in a world at ``stamp_ns``."""
+        self._first_step = self._first_step or (now_ns, stamp_ns)
+
+    def end_step(self, stamp_ns: int) -> None:
+        """Takes that a step is made and published."""
+        self._last_step = (time.monotonic_ns(), stamp_ns)
+
+    def restart(self, stamp_ns: int) -> None:
+        """Takes that time goes on from ``stamp_ns``: what was before does not count for the real-time factor."""
+        self._last_report = (time.monotonic_ns(), stamp_ns)
+
+    def publish(self, stamp_ns: int, rate: float, robots: Iterable[RobotInterface]) -> None:
+        """Publishes how fast time passed since the last report, against ``rate``, and what was counted."""
+        wall_ns, robots = time.monotonic_ns(), tuple(robots)
+        factor = (stamp_ns - self._last_report[1]) / max(1, wall_ns - self._last_report[0])
+        self._last_report = (wall_ns, stamp_ns)
+        self._factor_pub.publish(Float64(data=factor))
+        simulator = self._simulator
+        state = simulator.state.name.lower()
+        playing = simulator.state is SimulationState.PLAYING
+        behind = playing and bool(rate) and factor < 0.95 * rate
+        values = {
+            "state": state,
+            "real_time_factor": f"{factor:.3f}",
+            "simulation_time_s": f"{stamp_ns / NS_PER_S:.3f}",
+            "epoch": simulator.epoch,
+            "lost_wall_time_s": f"{self._pacer.lost_ns / NS_PER_S:.3f}",
+            "entities": len(simulator.world.names) if simulator.world is not None else 0,
+            **_commands(robots),
+            "missed_measurements": sum(sum(robot.sensors.misses.values()) for robot in robots),
+            "late_inputs": self._journal.late,
+        }
+        if self._gate is not None:
+            values["lockstep_waits_for"] = ", ".join(self._gate.core.waits_for) or "nobody"
+            values["lockstep_timeouts"] = self._gate.timeouts
+        status = DiagnosticStatus(
+            level=DiagnosticStatus.WARN if behind else DiagnosticStatus.OK,
+            name="gibson_sim: physics",
+            message="slower than asked for" if behind else "on time" if playing else state,
+            hardware_id=simulator.scene.name,
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
+        )
+        self._diagnostics_pub.publish(DiagnosticArray(header=conversions.header_to_msg(stamp_ns, ""), status=[status]))
+
+    def summary(self, robots: Iterable[RobotInterface]) -> dict[str, Any]:
+        """Returns what was measured since the first step."""
+        first = self._first_step or self._last_step
+        wall_s, sim_s = ((last - start) / NS_PER_S for start, last in zip(first, self._last_step, strict=True))
+        world, robots = self._simulator.world, tuple(robots)
+        return {
+            "scene": self._simulator.scene.name,
+            "simulation_time_s": sim_s,
+            "wall_time_s": wall_s,
+            "real_time_factor": sim_s / wall_s if wall_s else 0.0,
+            "physics_steps": 0 if world is None else world.step_count,
+            "step_hz": self._config.step_hz,
+            "lost_wall_time_s": self._pacer.lost_ns / NS_PER_S,
+            **_commands(robots),
+            "missed_measurements": {robot.robot.name: robot.sensors.misses for robot in robots},
+            **({} if self._gate is None else {"lockstep": self._gate.summary()}),
+        }
+
+
+def _commands(robots: Iterable[RobotInterface]) -> dict[str, int]:
+    """Returns how many commands the robots were given, and how many of them they refused."""
+    counts = [(robot.commands_seen, robot.refused_commands) for robot in robots]
+    return {"commands": sum(seen for seen, _ in counts), "refused_commands": sum(refused for _, refused in counts)}

@@ -1,0 +1,30 @@
+"""Opens a renderer as the settings of a node say."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gibson_sim.config import RenderConfig
+from gibson_sim.render.batching.batches import Progress
+from gibson_sim.render.cache import default_folder
+from gibson_sim.render.renderer import Renderer
+from gibson_sim.scenes.spec import DrawnScene
+
+
+def device_of(config: RenderConfig) -> int | str | None:
+    """Returns the EGL device that is asked for, by UUID or by number; None = any that can draw."""
+    return config.egl_uuid or (None if config.egl_device < 0 else config.egl_device)
+
+
+def open_renderer(scene: DrawnScene, config: RenderConfig, progress: Progress | None = None) -> Renderer:
+    """Returns a renderer that has loaded the scene; for errors see ``Renderer``."""
+    cache = None if config.cache == "none" else Path(config.cache) if config.cache else default_folder()
+    return Renderer(
+        scene,
+        device=device_of(config),
+        library=config.egl_library,
+        detail_px=config.detail_px,
+        compress_textures=config.compress_textures,
+        cache=cache,
+        progress=progress,
+    )

@@ -1,0 +1,65 @@
+"""Where the process of a node begins: Ctrl-C ends it silently while it loads what it needs.
+
+``python -m gibson_sim.ros.nodes.start gibson_sim.ros.nodes.physics_node ...`` runs that module's ``main`` with the arguments that follow; the
+functions are the programs that ``ros2 run`` and ``ros2 launch`` start. Everything else is imported afterwards.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from typing import Any
+
+from gibson_sim import interrupts
+
+
+def run(module: str) -> None:
+    """Runs ``main`` of a module; it takes the command line from ``sys.argv``."""
+    interrupts.end_silently()
+    from gibson_sim.standard.job_folder import leave_job
+
+    main: Any = import_module(module).main
+    try:
+        main()
+    finally:
+        interrupts.end_silently()
+        leave_job()
+
+
+def physics_node() -> None:
+    """Runs the physics node."""
+    run("gibson_sim.ros.nodes.physics_node")
+
+
+def render_node() -> None:
+    """Runs the render node."""
+    run("gibson_sim.ros.nodes.render_node")
+
+
+def drive_node() -> None:
+    """Runs the drive node."""
+    run("gibson_sim.ros.nodes.drive_node")
+
+
+def record_node() -> None:
+    """Runs the record node."""
+    run("gibson_sim.ros.nodes.record_node")
+
+
+def snapshot_node() -> None:
+    """Runs the snapshot node."""
+    run("gibson_sim.ros.nodes.snapshot_node")
+
+
+def replay_node() -> None:
+    """Runs the replay node."""
+    run("gibson_sim.ros.nodes.replay_node")
+
+
+def task_node() -> None:
+    """Runs the task node."""
+    run("gibson_sim.ros.nodes.task_node")
+
+
+if __name__ == "__main__":
+    run(sys.argv.pop(1))

@@ -1,0 +1,364 @@
+"""The task node: sets up episodes of a task in a running simulation, judges them, and drives where a baseline is asked for.
+
+It is a client as any other: it spawns and deletes by simulation_interfaces, drives by velocities, and knows what is published. With a
+baseline it takes part in lockstep, where there is one: time waits while it thinks.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from geometry_msgs.msg import PoseStamped, Twist
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from simulation_interfaces import msg as sim_msg, srv
+from std_msgs.msg import Bool, String
+from std_srvs.srv import Trigger
+
+from gibson_msgs.msg import Contacts, GraspState, Scene, SceneState as RosSceneState
+from gibson_sim.client_config import TaskConfig
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.ros import conversions
+from gibson_sim.ros.lockstep.lockstep_client import LockstepParticipant
+from gibson_sim.ros.nodes.awaited import Awaited
+from gibson_sim.ros.nodes.node_main import is_running, make_executor, run_node
+from gibson_sim.ros.nodes.params import config_from_parameters
+from gibson_sim.ros.topics import names, qos
+from gibson_sim.tasks.controls import finger_joints
+from gibson_sim.tasks.episode import Action, Episode, Item, View, item_root, view_of
+from gibson_sim.tasks.ground import ground_of
+from gibson_sim.tasks.metrics import Meter, Metrics, episode_line, episode_values, summary, summary_line, touched_by
+from gibson_sim.tasks.registry import check_baseline, task_of
+from gibson_sim.tasks.run import CONTROL_HZ, SETTLE_S
+from gibson_sim.tasks.task import Policy
+from gibson_sim.types import NS_PER_S, WORLD_FRAME, Contact, Pose, SceneState, Vec3
+from gibson_sim.writing import write_file
+
+"""Wall time after which a simulation that does not answer is given up."""
+GOAL, INFO, RESULT, RESET = "task/goal", "task/info", "task/result", "task/reset"
+_PERIOD_NS = NS_PER_S // CONTROL_HZ
+
+
+class TaskNode(Node):
+    """Runs episodes one after the other. With a baseline it ends after the last one; else it goes on, and each reset begins the next.
+
+    Parameters: the fields of ``gibson_sim.config.TaskConfig``.
+
+    Subscribes:
+        scene, scene_state: where everything is. contacts: what the robot touches. joint_states, grasp_state: of a robot with an arm.
+
+    Publishes:
+        task/goal (geometry_msgs/PoseStamped, latched): where to go or what to do it with; not where the place must be found.
+        task/info (std_msgs/String, latched): the episode as JSON: task, seed, text, target_class, start, time_limit, shortest.
+        task/result (std_msgs/String, latched): how an episode ended, as JSON: seed, success, time, path_length, spl, ...
+        cmd_vel, joint_command, grasp: only with a baseline.
+
+    Services:
+        task/reset (std_srvs/Trigger): ends the episode and begins the next one; the message is its task/info.
+
+    Calls:
+        spawn_entity, delete_entity, set_entity_state, reset_simulation.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        """Checks the settings and loads the scene to plan in. ``kwargs`` go to ``rclpy.node.Node``."""
+        super().__init__("task", **kwargs)
+        self._config = config = config_from_parameters(self, TaskConfig)
+        self._task = task_of(config.task)
+        check_baseline(self._task, config.baseline)
+        self._ground = ground_of(config.scene or self._task.scene, config.robot or self._task.robot)
+        self._links: dict[int, tuple[str, ...]] = {}
+        self._scene_name = ""
+        self._state: SceneState | None = None
+        self._early: RosSceneState | None = None
+        """A state whose scene is still on its way."""
+        self._joints: dict[str, float] = {}
+        self._joints_ns = self._grasp_ns = -1
+        self._awaited_ns: int | None = None
+        """Stamp of the state that is answered with commands; None = of no state."""
+        self._unanswered: Any = None
+        """Stamp of the tick that waits for commands."""
+        self._held, self._touched = "", frozenset[str]()
+        self._reset_asked = False
+        self._next_seed = config.seed
+        self._spawned: list[str] = []
+        self._results: list[Metrics] = []
+        self._subscribe()
+        self._goal_pub = self.create_publisher(PoseStamped, GOAL, qos.LATCHED)
+        self._info_pub = self.create_publisher(String, INFO, qos.LATCHED)
+        self._result_pub = self.create_publisher(String, RESULT, qos.LATCHED)
+        self._velocity_pub = self.create_publisher(Twist, names.CMD_VEL, qos.COMMAND)
+        self._joint_pub = self.create_publisher(JointState, names.JOINT_COMMAND, qos.COMMAND)
+        self._grasp_pub = self.create_publisher(Bool, names.GRASP, qos.COMMAND)
+        self._spawn = self.create_client(srv.SpawnEntity, "spawn_entity")
+        self._delete = self.create_client(srv.DeleteEntity, "delete_entity")
+        self._place = self.create_client(srv.SetEntityState, "set_entity_state")
+        self._reset = self.create_client(srv.ResetSimulation, "reset_simulation")
+        self.create_service(Trigger, RESET, self._on_reset)
+        self._executor = make_executor()
+        self._executor.add_node(self)
+        drives = config.baseline != "none"
+        self._lockstep = LockstepParticipant(self) if drives else None
+
+    def _subscribe(self) -> None:
+        self.create_subscription(Scene, names.SCENE, self._on_scene, qos.LATCHED)
+        self.create_subscription(RosSceneState, names.SCENE_STATE, self._on_state, qos.STATE)
+        self.create_subscription(Contacts, names.CONTACTS, self._on_contacts, qos.STATE)
+        if self._ground.robot.manipulators:
+            self.create_subscription(JointState, names.JOINT_STATES, self._on_joints, qos.STATE)
+            self.create_subscription(GraspState, names.GRASP_STATE, self._on_grasp, qos.STATE)
+
+    def _on_scene(self, msg: Scene) -> None:
+        scene = conversions.scene_from_msg(msg)
+        self._scene_name, self._links[scene.revision] = scene.name, scene.links
+        if self._early is not None and self._early.revision == scene.revision:
+            self._state, self._early = conversions.scene_state_from_msg(self._early, scene.links), None
+
+    def _on_state(self, msg: RosSceneState) -> None:
+        links = self._links.get(msg.revision)
+        if links is None:
+            self._early = msg
+        else:
+            self._state, self._early = conversions.scene_state_from_msg(msg, links), None
+        if self._lockstep is None:
+            return
+        if self._awaited_ns is None or conversions.time_from_msg(msg.header.stamp) < self._awaited_ns:
+            self._lockstep.done(msg.header.stamp)
+        else:
+            self._unanswered = msg.header.stamp
+
+    def _answer(self, sent: Sequence[str], awaited_ns: int | None) -> None:
+        """Says in lockstep that the tick that waits is done, with commands on the topics ``sent``, and which one waits next."""
+        self._awaited_ns = awaited_ns
+        if self._lockstep is not None and self._unanswered is not None:
+            self._lockstep.done(self._unanswered, sent)
+        self._unanswered = None
+
+    def _on_contacts(self, msg: Contacts) -> None:
+        moving = {link.partition("/")[0] for link in (self._state.links if self._state else ())}
+        contacts = [
+            Contact(c.body_a, c.link_a, c.body_b, c.link_b, _xyz(c.position), _xyz(c.normal), c.force, c.distance)
+            for c in msg.contacts
+        ]
+        self._touched = touched_by(self._ground.robot.name, contacts, moving)
+
+    def _on_joints(self, msg: JointState) -> None:
+        self._joints.update(zip(msg.name, msg.position, strict=True))
+        self._joints_ns = conversions.time_from_msg(msg.header.stamp)
+
+    def _on_grasp(self, msg: GraspState) -> None:
+        self._held = msg.body if msg.holding else ""
+        self._grasp_ns = conversions.time_from_msg(msg.header.stamp)
+
+    def _on_reset(self, _: Any, response: Any) -> Any:
+        self._reset_asked = True
+        response.success, response.message = True, f"the episode of seed {self._next_seed} begins"
+        return response
+
+    def spin(self) -> int:
+        """Runs the episodes; returns the exit code.
+
+        Raises:
+            GibsonSimError: no simulation answers, or it is not the one that is needed.
+        """
+        simulation = Awaited.simulation(self, names.SCENE_STATE, self._config.timeout)
+        self._wait_for(simulation)
+        self._wait(lambda: self._state is not None, "a message on scene_state")
+        expected = self._ground.scene.name
+        if self._scene_name != expected:
+            raise GibsonSimError(
+                f"the simulation runs scene {self._scene_name!r}, the task needs {expected!r}; start it with --scene, or give it as --scene"
+            )
+        robot = f"{self._ground.robot.name}/{self._ground.robot.base_link}"
+        assert self._state is not None
+        if robot not in self._state.links:
+            raise GibsonSimError(
+                f"the simulation has no robot with a link {robot!r}; start it with --robot {self._config.robot or self._task.robot}"
+            )
+        waits = self._config.baseline == "none"
+        number = 0
+        while is_running() and (waits or number < self._config.episodes):
+            seed = self._config.seed + number
+            self._results.append(self._episode(seed))
+            print(episode_line(seed, self._results[-1]), flush=True)
+            number += 1
+            while waits and is_running() and not self._reset_asked:
+                self._executor.spin_once(timeout_sec=0.1)
+        if is_running():
+            self._report()
+        return 0
+
+    def _episode(self, seed: int) -> Metrics:
+        """Sets an episode up, lets the baseline or somebody else do it, and returns how it went."""
+        self._next_seed = seed + 1
+        episode = self._task.generate(seed, self._ground)
+        begin_ns = self._set_up(episode)
+        view = self._view(begin_ns)
+        meter = Meter(episode, view)
+        policy = None if self._config.baseline == "none" else self._task.policy(self._config.baseline, episode, self._ground)
+        self._announce(episode)
+        success = False
+        while is_running() and not (success or self._reset_asked or view.time >= episode.time_limit):
+            awaited_ns = begin_ns + round(view.time * NS_PER_S) + _PERIOD_NS
+            self._answer(self._do(policy, view) if policy is not None else (), awaited_ns)
+            view = self._view(begin_ns, awaited_ns)
+            meter.note(view, self._touched)
+            success = self._task.succeeded(episode, view, self._ground)
+        if policy is not None:
+            self._velocity_pub.publish(Twist())
+            self._answer((self._velocity_pub.topic_name,), None)
+        metrics = meter.metrics(view, success=success, goal_distance=self._task.remaining(episode, view, self._ground))
+        self._result_pub.publish(String(data=json.dumps({"seed": seed, **episode_values(metrics)})))
+        return metrics
+
+    def _do(self, policy: Policy, view: View) -> list[str]:
+        """Publishes what a baseline wants; returns the topics, one for each message."""
+        action: Action = policy.act(view)
+        twist = Twist()
+        twist.linear.x, twist.angular.z = float(action.linear), float(action.angular)
+        self._velocity_pub.publish(twist)
+        sent = [self._velocity_pub.topic_name]
+        joints = {**action.joints, **finger_joints(self._ground.robot, action.grasp)}
+        if joints:
+            self._joint_pub.publish(JointState(name=list(joints), position=[float(p) for p in joints.values()]))
+            sent.append(self._joint_pub.topic_name)
+        if action.grasp is not None and action.grasp != bool(self._held):
+            self._grasp_pub.publish(Bool(data=action.grasp))
+            sent.append(self._grasp_pub.topic_name)
+        return sent
+
+    def _set_up(self, episode: Episode) -> int:
+        """Makes the scene that of an episode; returns the stamp at which it begins."""
+        self._reset_asked = False
+        self._velocity_pub.publish(Twist())
+        self._tidy(episode)
+        self._put_robot(episode.start)
+        for name in episode.removed:
+            self._call(self._delete, srv.DeleteEntity.Request(entity=name))
+        for item in episode.items:
+            self._put_item(item)
+            self._spawned.append(item.name)
+        roots = {item_root(item) for item in episode.items}
+        assert self._state is not None
+        self._awaited_ns = begin_ns = self._state.stamp_ns + round(SETTLE_S * NS_PER_S)
+        self._wait(lambda: self._settled(roots, begin_ns), "state of the scene with all items in it")
+        return self._state.stamp_ns
+
+    def _settled(self, roots: set[str], begin_ns: int) -> bool:
+        return self._is_known(begin_ns) and self._state is not None and roots <= set(self._state.links)
+
+    def _tidy(self, episode: Episode) -> None:
+        """Takes away what the episode before has left.
+
+        All is reset where that is not enough: the arm lies anywhere, or a body of the scene is gone.
+        """
+        there = self._bodies()
+        new = {item.name for item in episode.items}
+        begun = bool(self._results) and bool(self._ground.robot.manipulators)
+        if begun or not there >= set(episode.removed) or (there & new) - {*episode.removed, *self._spawned}:
+            request = srv.ResetSimulation.Request(scope=srv.ResetSimulation.Request.SCOPE_DEFAULT)
+            gone, back = set(self._spawned), {body.name for body in self._ground.scene.bodies}
+            self._call(self._reset, request)
+            self._joints_ns = self._grasp_ns = -1
+            self._wait(lambda: not gone & self._bodies() - back and back <= self._bodies(), "state of the scene after a reset")
+        else:
+            for name in self._spawned:
+                self._call(self._delete, srv.DeleteEntity.Request(entity=name))
+        self._spawned.clear()
+
+    def _bodies(self) -> set[str]:
+        """Returns the names of all that moves."""
+        return {link.partition("/")[0] for link in (self._state.links if self._state else ())}
+
+    def _put_robot(self, pose: Pose) -> None:
+        request = srv.SetEntityState.Request(entity=self._ground.robot.name)
+        request.state.pose = conversions.pose_to_msg(pose)
+        for part in ("pose", "twist"):
+            if hasattr(request, f"set_{part}"):
+                setattr(request, f"set_{part}", True)
+        self._call(self._place, request)
+
+    def _put_item(self, item: Item) -> None:
+        request = srv.SpawnEntity.Request(name=item.name)
+        resource = request.entity_resource if hasattr(request, "entity_resource") else request
+        resource.uri, resource.resource_string = "" if item.text else item.model, item.text
+        request.initial_pose.pose = conversions.pose_to_msg(item.pose)
+        self._call(self._spawn, request)
+
+    def _announce(self, episode: Episode) -> None:
+        goal = episode.goal
+        values = {
+            "task": episode.task, "seed": episode.seed, "text": goal.text, "target_class": goal.target_class,
+            "start": [*episode.start.position, *episode.start.quat_xyzw], "time_limit": episode.time_limit,
+            "shortest": None if math.isnan(episode.shortest) else episode.shortest,
+        }  # fmt: skip
+        self._info_pub.publish(String(data=json.dumps(values)))
+        if goal.position is not None and self._state is not None:
+            message = PoseStamped(header=conversions.header_to_msg(self._state.stamp_ns, WORLD_FRAME))
+            message.pose = conversions.pose_to_msg(Pose(goal.position))
+            self._goal_pub.publish(message)
+
+    def _view(self, begin_ns: int, wanted_ns: int = -1) -> View:
+        """Returns what is known at the next tick, from ``wanted_ns`` on."""
+        self._wait(lambda: self._is_known(wanted_ns), "scene_state: is the simulation paused?")
+        assert self._state is not None
+        robot = self._ground.robot
+        return view_of(self._state, robot.name, robot.base_link, begin_ns, joints=dict(self._joints), held=self._held)
+
+    def _is_known(self, wanted_ns: int) -> bool:
+        """Returns whether all is known of a tick, from ``wanted_ns`` on."""
+        stamps = [self._state.stamp_ns if self._state is not None else -1]
+        stamps += [self._joints_ns, self._grasp_ns] if self._ground.robot.manipulators else []
+        return min(stamps) >= wanted_ns
+
+    def _call(self, client: Any, request: Any) -> None:
+        """Calls a service of the simulation.
+
+        Raises:
+            GibsonSimError: it does not answer, or says no.
+        """
+        self._wait(client.service_is_ready, f"service {client.srv_name}")
+        future = client.call_async(request)
+        self._wait(future.done, f"answer of {client.srv_name}")
+        result = future.result().result
+        if result.result != sim_msg.Result.RESULT_OK:
+            raise GibsonSimError(f"{client.srv_name}: {result.error_message}")
+
+    def _wait(self, condition: Callable[[], bool], what: str) -> None:
+        self._wait_for(Awaited(self, what, condition, timeout_s=self._config.timeout))
+
+    def _wait_for(self, awaited: Awaited) -> None:
+        while not awaited.look():
+            if not is_running():
+                raise KeyboardInterrupt
+            self._executor.spin_once(timeout_sec=0.1)
+
+    def _report(self) -> None:
+        total = summary(self._results)
+        print(summary_line(self._task.name, self._config.baseline, total), flush=True)
+        if self._config.output:
+            episodes = [{"seed": self._config.seed + k, **episode_values(m)} for k, m in enumerate(self._results)]
+            found = {"task": self._task.name, "baseline": self._config.baseline, **episode_values(total), "all": episodes}
+            write_file(self._config.output, json.dumps(found, indent=1) + "\n")
+
+    def close(self) -> None:
+        """Ends the executor; what was spawned stays for whoever looks at it."""
+        if self._lockstep is not None:
+            self._lockstep.leave()
+        self._executor.shutdown(timeout_sec=5.0)
+
+
+def _xyz(msg: Any) -> Vec3:
+    return msg.x, msg.y, msg.z
+
+
+def main(args: list[str] | None = None) -> None:
+    """Runs the task node."""
+    run_node(TaskNode, args)
+
+
+if __name__ == "__main__":
+    main()

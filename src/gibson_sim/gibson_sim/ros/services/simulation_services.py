@@ -1,0 +1,452 @@
+"""The services and the action of ``simulation_interfaces`` around a ``Simulator``.
+
+The node's loop is in the docstring of ``gibson_sim.standard.simulator``. Whatever a client sends, it gets a result: an error of this
+package becomes its code, any other one RESULT_OPERATION_FAILED and a traceback in the log. Services that take long do not hold up the
+loop: steps are made in its turns, worlds are read in a thread, many entities are spawned a few at a time.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from enum import IntEnum
+from functools import partial
+from threading import Thread
+from typing import Any
+
+from rclpy.action import ActionServer, CancelResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from simulation_interfaces import srv
+from simulation_interfaces.action import SimulateSteps
+from simulation_interfaces.msg import SpawnResult
+
+from gibson_sim import __version__
+from gibson_sim.errors import ConfigError, GibsonSimError
+from gibson_sim.quoting import quoted
+from gibson_sim.ros.services import simulation_conversions as convert
+from gibson_sim.ros.services.deferred import DeferredResponse, DeferredService, InOrder
+from gibson_sim.scenes.spawning import SPAWN_FORMATS
+from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.standard import catalogue
+from gibson_sim.standard.codes import Result, SimulationError, SpawnEntitiesCode, shortened
+from gibson_sim.standard.features import supported_features
+from gibson_sim.standard.population import ReadAhead
+from gibson_sim.standard.requests import LoadRequest, WorldInfo
+from gibson_sim.standard.simulator import Simulator
+from gibson_sim.standard.states import SimulationState
+from gibson_sim.standard.stepping import StepRequest
+
+logger = logging.getLogger(__name__)
+
+
+def end_goal(goal: Any, error: SimulationError | None) -> None:
+    """Ends a goal: as cancelled where the client asked for that, else as aborted where there is an error."""
+
+    def finish(handle: Any) -> Any:
+        if handle.is_cancel_requested:
+            handle.canceled()
+        elif error is not None:
+            handle.abort()
+        else:
+            handle.succeed()
+        result = SimulateSteps.Result()
+        return succeeded(result) if error is None else failed(result, error)
+
+    goal.execute(finish)
+
+
+def succeeded(response: Any, remark: str = "") -> Any:
+    """Returns the response with RESULT_OK; GetSimulatorFeatures alone has no result."""
+    if hasattr(response, "result"):
+        response.result.result, response.result.error_message = int(Result.OK), remark
+    return response
+
+
+def failed(response: Any, error: Exception) -> Any:
+    """Returns the response with the code and the text of an error; one that nobody foresaw is logged in full."""
+    code: IntEnum = error.code if isinstance(error, SimulationError) else Result.OPERATION_FAILED
+    text = str(error)
+    if not isinstance(error, GibsonSimError):
+        logger.error("a request failed for a reason that is a mistake of ours", exc_info=error)
+        text = f"internal error: {type(error).__name__}; the log of the simulation says more"
+    if hasattr(response, "result"):
+        response.result.result, response.result.error_message = int(code), shortened(text)
+    return response
+
+
+_CHANGING = frozenset(
+    {
+        "set_simulation_state",
+        "reset_simulation",
+        "set_entity_state",
+        "spawn_entity",
+        "spawn_entities",
+        "delete_entity",
+        "load_world",
+        "unload_world",
+    }
+)
+"""What changes the course of things, and not only when they happen."""
+_CHANGING_STATES = (SimulationState.STOPPED, SimulationState.PLAYING)
+"""To stop is to reset, and a world that was loaded has to be started; a pause changes nothing."""
+_SPAWNING = frozenset({"spawn_entity", "spawn_entities"})
+"""What names files; what was read of them is handed to the handler."""
+_Handler = Callable[..., DeferredResponse | str | None]
+_Found = list[ReadAhead | None] | None
+SPAWNS_AT_ONCE = 50
+"""Entities of one request that are spawned before the loop goes on."""
+QUIT_GRACE_S = 0.3
+"""Wall time between the answer to STATE_QUITTING and the end: a writer that is gone cannot repeat what got lost."""
+
+
+class SimulationServices:
+    """Offers the standard on behalf of a node.
+
+    Services (simulation_interfaces/srv, named in snake_case after ``prefix``): GetSimulatorFeatures, Get/SetSimulationState,
+    ResetSimulation, StepSimulation, GetEntities, GetEntitiesStates, Get/SetEntityState, Get/SetEntityInfo, GetEntityBounds,
+    SpawnEntity, SpawnEntities, DeleteEntity, GetSpawnables, GetNamedPoses, GetNamedPoseBounds, LoadWorld, UnloadWorld,
+    GetAvailableWorlds, GetCurrentWorld.
+
+    Actions (simulation_interfaces/action): SimulateSteps.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        simulator: Simulator,
+        prefix: str = "",
+        note: Callable[[str, Any], None] = lambda name, request: None,
+        lockstep: bool = False,
+    ) -> None:
+        """Starts to offer them. The node must be given to an executor.
+
+        Args:
+            node: on whose behalf.
+            simulator: what they are about.
+            prefix: stands before their names; it may hold a namespace, such as ``sim/``.
+            note: is called with name and request before a request changes the simulation.
+            lockstep: time waits for what is read of things that are spawned, since the step that obeys must not hang on how long that
+                takes. Otherwise time goes on meanwhile, and requests that come later wait for their turn.
+        """
+        self._node, self._simulator, self._prefix, self._note = node, simulator, prefix, note
+        self._closed, self._quit_s, self._read_ahead = False, -math.inf, not lockstep
+        self._in_order = InOrder(self._run_soon)
+        self._goals: dict[bytes, StepRequest] = {}
+        self._searches: deque[Callable[[], None]] = deque()
+        """Searches of folders that wait for the one under way."""
+        self._searching = False
+        group = ReentrantCallbackGroup()
+        self._services = [
+            DeferredService(node, kind, f"{prefix}{name}", partial(self._take, name, handler), callback_group=group)
+            for kind, name, handler in self._table()
+        ]
+        self._action = ActionServer(
+            node,
+            SimulateSteps,
+            f"{prefix}simulate_steps",
+            execute_callback=_never,
+            handle_accepted_callback=self._on_goal,
+            cancel_callback=self._on_cancel,
+            callback_group=group,
+        )
+
+    @property
+    def quit_is_answered(self) -> bool:
+        """Whether a client asked for the end and has had time to hear that it will come."""
+        return self._simulator.quitting and time.monotonic() - self._quit_s >= QUIT_GRACE_S
+
+    def close(self) -> None:
+        """Ends the action; the services end with the node."""
+        if not self._closed:
+            self._closed = True
+            self._action.destroy()
+
+    def _table(self) -> list[tuple[Any, str, _Handler]]:
+        """Returns type, name and handler of every service, in the order of the standard's features."""
+        return [
+            (srv.GetSimulatorFeatures, "get_simulator_features", self._get_features),
+            (srv.GetSimulationState, "get_simulation_state", self._get_state),
+            (srv.SetSimulationState, "set_simulation_state", self._set_state),
+            (srv.ResetSimulation, "reset_simulation", self._reset),
+            (srv.StepSimulation, "step_simulation", self._step),
+            (srv.GetEntities, "get_entities", self._get_entities),
+            (srv.GetEntitiesStates, "get_entities_states", self._get_entities_states),
+            (srv.GetEntityState, "get_entity_state", self._get_entity_state),
+            (srv.SetEntityState, "set_entity_state", self._set_entity_state),
+            (srv.GetEntityInfo, "get_entity_info", self._get_entity_info),
+            (srv.SetEntityInfo, "set_entity_info", self._set_entity_info),
+            (srv.GetEntityBounds, "get_entity_bounds", self._get_entity_bounds),
+            (srv.SpawnEntity, "spawn_entity", self._spawn_entity),
+            (srv.SpawnEntities, "spawn_entities", self._spawn_entities),
+            (srv.DeleteEntity, "delete_entity", self._delete_entity),
+            (srv.GetSpawnables, "get_spawnables", self._get_spawnables),
+            (srv.GetNamedPoses, "get_named_poses", self._get_named_poses),
+            (srv.GetNamedPoseBounds, "get_named_pose_bounds", self._get_named_pose_bounds),
+            (srv.LoadWorld, "load_world", self._load_world),
+            (srv.UnloadWorld, "unload_world", self._unload_world),
+            (srv.GetAvailableWorlds, "get_available_worlds", self._get_available_worlds),
+            (srv.GetCurrentWorld, "get_current_world", self._get_current_world),
+        ]
+
+    def repeat(self, name: str, request: Any) -> None:
+        """Does what a request asked for in a recorded run; nobody waits for the answer.
+
+        Raises:
+            ConfigError: there is no such service.
+        """
+        for kind, known, handler in self._table():
+            if self._node.resolve_service_name(f"{self._prefix}{known}") == name:
+                response = self._handle(known, handler, request, kind.Response())
+                if not isinstance(response, DeferredResponse) and response.result.result != Result.OK:
+                    logger.warning("%s, repeated from a record: %s", name, response.result.error_message)
+                return
+        raise ConfigError(
+            f"there is no service {quoted(name)} that a record could repeat; was it made with another 'service_prefix'?"
+        )
+
+    def _take(self, name: str, handler: _Handler, request: Any, response: Any) -> Any:
+        """Answers a request once its turn has come, and what it names was read."""
+        if not _changes(name, request):
+            return self._handle(name, handler, request, response)
+        read = self._reading(name, request) if self._read_ahead and name in _SPAWNING else None
+        return self._in_order.take(lambda found: self._handle(name, handler, request, response, found), read)
+
+    def _reading(self, name: str, request: Any) -> Callable[[], Any] | None:
+        """Returns what reads the files that a request names; None where it fails anyway."""
+        items = list(request.spawn_requests) if name == "spawn_entities" else [request]
+        try:
+            return self._simulator.population.reading([convert.spawn_request_from_msg(item) for item in items])
+        except SimulationError:
+            return None
+
+    def _handle(self, name: str, handler: _Handler, request: Any, response: Any, found: Any = None) -> Any:
+        """Answers a request: a handler returns None or a remark where all is well, and a DeferredResponse where it takes longer."""
+        if _changes(name, request):
+            self._note(self._node.resolve_service_name(f"{self._prefix}{name}"), request)
+        try:
+            outcome = handler(request, response, found) if name in _SPAWNING else handler(request, response)
+        except Exception as error:
+            return failed(response, error)
+        return outcome if isinstance(outcome, DeferredResponse) else succeeded(response, outcome or "")
+
+    def _run_soon(self, function: Callable[..., Any], *arguments: Any) -> None:
+        if not self._closed:
+            self._node.executor.create_task(function, *arguments)
+
+    def _get_features(self, _: Any, response: Any) -> None:
+        response.features.features = list(supported_features())
+        response.features.spawn_formats = list(SPAWN_FORMATS)
+        response.features.custom_info = f"Gibson Sim {__version__}, docs/simulation_interfaces.md"
+
+    def _get_state(self, _: Any, response: Any) -> None:
+        response.state.state = int(self._simulator.state)
+
+    def _set_state(self, request: Any, _: Any) -> None:
+        self._simulator.set_state(request.state.state)
+        if self._simulator.quitting:
+            self._quit_s = time.monotonic()
+
+    def _reset(self, request: Any, _: Any) -> None:
+        self._simulator.reset(request.scope)
+
+    def _step(self, request: Any, response: Any) -> DeferredResponse:
+        later = DeferredResponse()
+
+        def ended(work: StepRequest) -> None:
+            error = SimulationError(Result.OPERATION_FAILED, work.failure) if work.failure else None
+            later.answer(succeeded(response) if error is None else failed(response, error))
+
+        self._simulator.request_steps(request.steps, on_end=ended)
+        return later
+
+    def _get_entities(self, request: Any, response: Any) -> None:
+        found = self._simulator.population.matching(convert.filters_from_msg(request.filters))
+        response.entities = [entity.name for entity in found]
+
+    def _get_entities_states(self, request: Any, response: Any) -> None:
+        self._get_entities(request, response)
+        response.states = [self._state_msg(name) for name in response.entities]
+
+    def _get_entity_state(self, request: Any, response: Any) -> None:
+        response.state = self._state_msg(request.entity)
+
+    def _state_msg(self, name: str) -> Any:
+        state, world = self._simulator.population.state(name), self._simulator.world
+        return convert.entity_state_to_msg(state, 0 if world is None else world.stamp_ns)
+
+    def _set_entity_state(self, request: Any, _: Any) -> None:
+        self._simulator.population.set_state(request.entity, convert.state_change_from_msg(request))
+
+    def _get_entity_info(self, request: Any, response: Any) -> None:
+        response.info = convert.entity_info_to_msg(self._simulator.population.entity(request.entity).info)
+
+    def _set_entity_info(self, request: Any, _: Any) -> None:
+        self._simulator.population.set_info(request.entity, convert.entity_info_from_msg(request.info))
+
+    def _get_entity_bounds(self, request: Any, response: Any) -> None:
+        response.bounds = convert.bounds_to_msg(self._simulator.population.bounds(request.entity))
+
+    def _spawn_entity(self, request: Any, response: Any, found: _Found) -> None:
+        response.entity_name = self._simulator.population.spawn(
+            convert.spawn_request_from_msg(request), found[0] if found else None
+        )
+
+    def _spawn_entities(self, request: Any, response: Any, found: _Found) -> DeferredResponse:
+        later = DeferredResponse()
+        waiting = list(zip(request.spawn_requests, found or [None] * len(request.spawn_requests), strict=True))
+        _ = self._simulator.population  # without a world it fails as a whole
+
+        def some() -> None:
+            now, waiting[:] = waiting[:SPAWNS_AT_ONCE], waiting[SPAWNS_AT_ONCE:]
+            for item in now:
+                response.results.append(self._spawned(*item))
+            if waiting:
+                self._node.executor.create_task(some)
+            else:
+                lost = sum(result.result.result != Result.OK for result in response.results)
+                text = f"{lost} of {len(response.results)} entities could not be spawned; results says why"
+                error = SimulationError(SpawnEntitiesCode.ENTITIES_SPAWN_FAILED, text)
+                later.answer(failed(response, error) if lost else succeeded(response))
+
+        response.results = []
+        some()
+        return later
+
+    def _spawned(self, item: Any, ahead: ReadAhead | None) -> SpawnResult:
+        """Spawns one of many and returns how it went."""
+        result = SpawnResult()
+        try:
+            result.entity_name = self._simulator.population.spawn(convert.spawn_request_from_msg(item), ahead)
+        except Exception as error:
+            return failed(result, error)
+        return succeeded(result)
+
+    def _delete_entity(self, request: Any, _: Any) -> None:
+        self._simulator.population.delete(request.entity)
+
+    def _beside(self, work: Callable[[], str], response: Any) -> DeferredResponse:
+        """Does what touches nothing but files and the response in a thread, while time goes on; it returns a remark."""
+        later = DeferredResponse()
+
+        def ended(outcome: str | Exception) -> None:
+            self._searching = False
+            later.answer(failed(response, outcome) if isinstance(outcome, Exception) else succeeded(response, outcome))
+            self._search_on()
+
+        def run() -> None:
+            outcome: str | Exception
+            try:
+                outcome = work()
+            except Exception as error:
+                outcome = error
+            self._run_soon(ended, outcome)
+
+        self._searches.append(run)
+        self._search_on()
+        return later
+
+    def _search_on(self) -> None:
+        """Begins the next search unless one is under way: a hundred at once would leave time no processor."""
+        if self._searches and not self._searching:
+            self._searching = True
+            Thread(target=self._searches.popleft(), name="look-for-files", daemon=True).start()
+
+    def _get_spawnables(self, request: Any, response: Any) -> DeferredResponse:
+        sources = tuple(request.sources)
+
+        def work() -> str:
+            found, remark = catalogue.spawnables(sources)
+            response.spawnables = [convert.spawnable_to_msg(spawnable) for spawnable in found]
+            return remark
+
+        return self._beside(work, response)
+
+    def _get_named_poses(self, request: Any, response: Any) -> None:
+        poses = self._simulator.named_poses(convert.tags_filter_from_msg(request.tags))
+        response.poses = [convert.named_pose_to_msg(pose) for pose in poses]
+
+    def _get_named_pose_bounds(self, request: Any, response: Any) -> None:
+        response.bounds = convert.bounds_to_msg(self._simulator.named_pose_bounds(request.name))
+
+    def _load_world(self, request: Any, response: Any) -> DeferredResponse:
+        later, wanted = DeferredResponse(), convert.load_request_from_msg(request)
+        self._simulator.begin_load(wanted)
+
+        def read() -> None:
+            outcome: SceneSpec | Exception
+            try:
+                outcome = self._simulator.read_world(wanted)
+            except Exception as error:
+                outcome = error
+            self._run_soon(self._world_read, wanted, outcome, response, later)
+
+        Thread(target=read, name="read-world", daemon=True).start()
+        return later
+
+    def _world_read(self, wanted: LoadRequest, outcome: SceneSpec | Exception, response: Any, later: DeferredResponse) -> None:
+        """Makes the world that was read, in the thread that owns physics."""
+        try:
+            if isinstance(outcome, Exception):
+                raise outcome
+            response.world = convert.world_to_msg(self._simulator.finish_load(wanted, outcome))
+        except Exception as error:
+            self._simulator.abandon_load()
+            later.answer(failed(response, error))
+        else:
+            later.answer(succeeded(response))
+
+    def _unload_world(self, _: Any, __: Any) -> None:
+        self._simulator.unload_world()
+
+    def _get_available_worlds(self, request: Any, response: Any) -> DeferredResponse:
+        sources, tags = tuple(request.additional_sources), convert.tags_filter_from_msg(request.filter)
+
+        def work() -> str:
+            worlds = catalogue.available_worlds(sources, tags, continue_on_error=request.continue_on_error)
+            found = [WorldInfo(w.name, w.uri, description=w.description, tags=w.tags) for w in worlds]
+            response.worlds = [convert.world_to_msg(world) for world in found]
+            return ""
+
+        return self._beside(work, response)
+
+    def _get_current_world(self, _: Any, response: Any) -> None:
+        response.world = convert.world_to_msg(self._simulator.current_world())
+
+    def _on_goal(self, goal: Any) -> None:
+        """Asks for the steps of a goal that was accepted; it is executed, in rclpy's sense, once they are made."""
+        key = bytes(goal.goal_id.uuid)
+
+        def progress(work: StepRequest) -> None:
+            goal.publish_feedback(SimulateSteps.Feedback(completed_steps=work.completed, remaining_steps=work.remaining))
+
+        def ended(work: StepRequest) -> None:
+            self._goals.pop(key, None)
+            end_goal(goal, SimulationError(Result.OPERATION_FAILED, work.failure) if work.failure else None)
+
+        try:
+            work = self._simulator.request_steps(goal.request.steps, progress, ended)
+        except SimulationError as error:
+            end_goal(goal, error)
+            return
+        if not work.ended:
+            self._goals[key] = work
+
+    def _on_cancel(self, goal: Any) -> CancelResponse:
+        work = self._goals.get(bytes(goal.goal_id.uuid))
+        if work is None:
+            return CancelResponse.REJECT
+        self._simulator.cancel_steps(work)
+        return CancelResponse.ACCEPT
+
+
+def _changes(name: str, request: Any) -> bool:
+    """Returns whether a request changes the course of things."""
+    return name in _CHANGING and not (name == "set_simulation_state" and request.state.state not in _CHANGING_STATES)
+
+
+def _never(_: Any) -> Any:
+    raise AssertionError("goals bring their own callback")

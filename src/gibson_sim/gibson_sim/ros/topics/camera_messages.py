@@ -1,0 +1,168 @@
+"""All messages of one camera: their topics, what must be drawn for them, and how they are made. Nothing here publishes.
+
+The render node publishes them; ``render_bag`` writes them to a bag.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+
+from gibson_sim.config import RenderConfig
+from gibson_sim.geometry.transforms import Mat4
+from gibson_sim.ros import conversions
+from gibson_sim.ros.topics import names
+from gibson_sim.ros.wire.fast_publish import restamped
+from gibson_sim.scenes.spec import DrawnScene
+from gibson_sim.sensors.depth_noise import apply_depth_noise
+from gibson_sim.sensors.depth_registration import DepthRegistration, split_for
+from gibson_sim.sensors.image_codecs import COMPRESSED_DEPTH_FORMAT, ColorCodec, color_format, encode_color, encode_depth
+from gibson_sim.sensors.point_cloud import cloud_of_frame
+from gibson_sim.types import CameraSpec, Frame, Output
+
+COMPRESSED, COMPRESSED_DEPTH, POINTS, REGISTERED, REGISTERED_INFO = (
+    "compressed", "compressed_depth", "points", "registered", "registered_info",
+)  # fmt: skip
+"""Kinds of messages, beside those of ``names.camera_topics``."""
+_LABELS: tuple[Output, ...] = ("semantic", "instance")
+
+
+class CameraMessages:
+    """Makes the messages of a camera.
+
+    Args:
+        camera: as the scene has it.
+        config: how images are compressed.
+        target: the camera that its depth is registered to; None = none.
+
+    Raises:
+        ConfigError: its depth cannot be registered to ``target``.
+    """
+
+    def __init__(self, camera: CameraSpec, config: RenderConfig, target: CameraSpec | None = None) -> None:
+        self.camera, self.target = camera, target
+        self._config = config
+        self._labels: dict[Output, tuple[str, ...]] = {}
+        self._infos: dict[str, bytes] = {}
+        self._drawn: dict[frozenset[str], CameraSpec | None] = {}
+        self._registration: tuple[bytes, DepthRegistration] | None = None
+        if target is not None:
+            split_for(camera, target)  # now, not at each image
+
+    def topics(self) -> Iterator[tuple[str, Any, str]]:
+        """Yields kind, type and topic of all that comes at the camera's rate."""
+        camera, topics = self.camera, names.camera_topics(self.camera.name)
+        for output in camera.outputs:
+            yield output, Image, topics[output]
+            yield f"{output}_info", CameraInfo, topics[f"{output}_info"]
+        if "rgb" in camera.outputs:
+            yield COMPRESSED, CompressedImage, names.compressed_topic(topics["rgb"])
+        if "depth" in camera.outputs:
+            yield COMPRESSED_DEPTH, CompressedImage, names.compressed_depth_topic(topics["depth"])
+            yield POINTS, PointCloud2, names.points_topic(camera.name)
+            if self.target is not None:
+                image, info = names.registered_depth_topics(camera.name)
+                yield REGISTERED, Image, image
+                yield REGISTERED_INFO, CameraInfo, info
+
+    def label_topics(self) -> Iterator[tuple[Output, Any, str]]:
+        """Yields output, type and topic of what names the numbers in label images: latched."""
+        for output in _LABELS:
+            if output in self.camera.outputs:
+                yield output, conversions.label_info_type(), names.label_info_topic(self.camera.name, output)
+
+    def to_draw(self, wanted: frozenset[str]) -> CameraSpec | None:
+        """Returns the camera with the outputs that these messages are made of; None where none of them needs a picture.
+
+        It is the same object for the same messages: renderers work out once what they need of a camera.
+        """
+        if wanted not in self._drawn:
+            self._drawn[wanted] = self._with_outputs_of(wanted)
+        return self._drawn[wanted]
+
+    def _with_outputs_of(self, wanted: frozenset[str]) -> CameraSpec | None:
+        needed: set[str] = {kind for kind in wanted if kind in self.camera.outputs}
+        if COMPRESSED in wanted or POINTS in wanted:
+            needed.add("rgb")
+        if wanted & {COMPRESSED_DEPTH, POINTS, REGISTERED}:
+            needed.add("depth")
+        if "depth" in needed and self.camera.depth_noise.hole_angle_deg < 90.0:
+            needed.add("normal")  # holes follow the normals where the camera has them: depth must not depend on who listens
+        outputs = tuple(output for output in self.camera.outputs if output in needed)
+        return replace(self.camera, outputs=outputs) if outputs else None
+
+    def infos(
+        self, stamp_ns: int, wanted: frozenset[str], serialize: Callable[[Any], bytes] = serialize_message
+    ) -> Iterator[tuple[str, bytes]]:
+        """Yields kind and bytes of the calibrations that are wanted: those of the first one of each kind, with another stamp.
+
+        Args:
+            stamp_ns: of the image.
+            wanted: kinds of messages; others are passed over.
+            serialize: makes the bytes of that first one: ``serialize_message`` of rclpy, or ``exact_bytes``.
+        """
+        for kind in sorted(wanted):
+            if not kind.endswith("_info"):
+                continue
+            if kind not in self._infos:
+                camera = self.target if kind == REGISTERED_INFO and self.target is not None else self.camera
+                self._infos[kind] = serialize(conversions.camera_info_to_msg(camera, stamp_ns))
+            yield kind, restamped(self._infos[kind], stamp_ns)
+
+    def images(
+        self,
+        frame: Frame,
+        wanted: frozenset[str],
+        T_target_camera: Mat4 | None,
+        image: Callable[..., Any] = conversions.image_to_msg,
+    ) -> Iterator[tuple[str, Any]]:
+        """Yields kind and message of the images that are wanted.
+
+        Args:
+            frame: with the outputs of ``to_draw``, without noise of depth.
+            wanted: kinds of messages.
+            T_target_camera: to the optical frame of the camera that depth is registered to, at the frame's stamp; None = not wanted.
+            image: makes a sensor_msgs/Image: ``conversions.image_to_msg``, or ``fast_images.image_to_bytes``.
+        """
+        frame = apply_depth_noise(frame, self.camera.depth_noise)
+        config, stamp, frame_id = self._config, frame.stamp_ns, self.camera.optical_frame
+        yield from conversions.frame_to_image_msgs(frame, wanted & set(self.camera.outputs), image)
+        if COMPRESSED in wanted and frame.rgb is not None:
+            codec: ColorCodec = "png" if config.compressed_format == "png" else "jpeg"
+            data = encode_color(frame.rgb, codec, jpeg_quality=config.jpeg_quality, png_level=config.png_level)
+            yield COMPRESSED, conversions.compressed_to_msg(data.tobytes(), color_format(codec), stamp, frame_id)
+        if frame.depth is None:
+            return
+        if COMPRESSED_DEPTH in wanted:
+            packed = encode_depth(
+                frame.depth, depth_max=config.compressed_depth_max, quantization=config.compressed_depth_quantization,
+                png_level=config.png_level,
+            )  # fmt: skip
+            yield COMPRESSED_DEPTH, conversions.compressed_to_msg(packed, COMPRESSED_DEPTH_FORMAT, stamp, frame_id)
+        if POINTS in wanted:
+            yield POINTS, conversions.cloud_to_msg(cloud_of_frame(frame), stamp, frame_id)
+        if REGISTERED in wanted and self.target is not None and T_target_camera is not None:
+            pixels = self._registered(T_target_camera).image(frame.depth)
+            yield REGISTERED, image(pixels, "32FC1", stamp, self.target.optical_frame)
+
+    def _registered(self, T_target_camera: Mat4) -> DepthRegistration:
+        """Returns the way to the other camera, the same one as long as the two do not move against each other."""
+        assert self.target is not None
+        key = (T_target_camera.round(9) + 0.0).tobytes()  # no -0.0, which is 0.0 in other bytes
+        if self._registration is None or self._registration[0] != key:
+            self._registration = key, DepthRegistration(self.camera, self.target, T_target_camera)
+        return self._registration[1]
+
+    def labels(self, scene: DrawnScene, stamp_ns: int) -> Iterator[tuple[Output, Any]]:
+        """Yields what the numbers of label images mean, where that has changed since the last call."""
+        for output in _LABELS:
+            if output not in self.camera.outputs:
+                continue
+            labels = scene.semantic_classes if output == "semantic" else scene.instances
+            if self._labels.get(output) != labels:
+                self._labels[output] = labels
+                yield output, conversions.label_info_to_msg(labels, stamp_ns, self.camera.optical_frame)

@@ -1,0 +1,83 @@
+"""All topics of one camera: which of them somebody listens to, and their messages on them."""
+
+from __future__ import annotations
+
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+
+from gibson_sim.config import RenderConfig
+from gibson_sim.geometry.transforms import Mat4
+from gibson_sim.ros.topics import qos
+from gibson_sim.ros.topics.camera_messages import REGISTERED, CameraMessages
+from gibson_sim.ros.wire.fast_publish import image_to_bytes
+from gibson_sim.scenes.spec import DrawnScene
+from gibson_sim.types import CameraSpec, Frame, Output
+
+__all__ = ["REGISTERED", "CameraPublisher"]
+
+
+class CameraPublisher:
+    """Publishes what a camera sees.
+
+    Args:
+        node: whose publishers these are.
+        camera: as the scene has it.
+        config: how images are compressed.
+        target: the camera that its depth is registered to; None = none.
+
+    Raises:
+        ConfigError: its depth cannot be registered to ``target``, or an override of quality of service is not allowed.
+    """
+
+    def __init__(self, node: Node, camera: CameraSpec, config: RenderConfig, target: CameraSpec | None = None) -> None:
+        self.camera, self.target = camera, target
+        self._node = node
+        self._messages = CameraMessages(camera, config, target)
+        self._publishers: dict[str, Publisher] = {}
+        self._label_publishers: dict[Output, Publisher] = {}
+        for kind, message_type, topic in self._messages.topics():
+            self._publishers[kind] = qos.make_publisher(node, message_type, topic, qos.SENSOR)
+        for output, message_type, topic in self._messages.label_topics():
+            self._label_publishers[output] = qos.make_publisher(node, message_type, topic, qos.LATCHED)
+
+    def wanted(self) -> frozenset[str]:
+        """Returns the kinds of messages that somebody listens to now. It takes some microseconds for each topic."""
+        return frozenset(kind for kind, publisher in self._publishers.items() if publisher.get_subscription_count())
+
+    def to_draw(self, wanted: frozenset[str]) -> CameraSpec | None:
+        """Returns the camera with the outputs that these messages are made of; None where none of them needs a picture."""
+        return self._messages.to_draw(wanted)
+
+    def publish_info(self, stamp_ns: int, wanted: frozenset[str]) -> set[str]:
+        """Publishes the calibration on the topics of it that are wanted; returns which."""
+        done = set()
+        for kind, message in self._messages.infos(stamp_ns, wanted):
+            self._publishers[kind].publish(message)
+            done.add(kind)
+        return done
+
+    def publish(self, frame: Frame, wanted: frozenset[str], T_target_camera: Mat4 | None) -> set[str]:
+        """Publishes the images that are wanted; returns their kinds.
+
+        Args:
+            frame: with the outputs of ``to_draw``, without noise of depth.
+            wanted: kinds of messages.
+            T_target_camera: to the optical frame of the camera that depth is registered to, at the frame's stamp; None = not wanted.
+        """
+        done = set()
+        for kind, message in self._messages.images(frame, wanted, T_target_camera, image_to_bytes):
+            self._publishers[kind].publish(message)
+            done.add(kind)
+        return done
+
+    def publish_labels(self, scene: DrawnScene, stamp_ns: int) -> None:
+        """Publishes what the numbers of label images mean, where that has changed."""
+        for output, message in self._messages.labels(scene, stamp_ns):
+            self._label_publishers[output].publish(message)
+
+    def close(self) -> None:
+        """Removes its topics; a second call does nothing."""
+        publishers = [*self._publishers.values(), *self._label_publishers.values()]
+        self._publishers, self._label_publishers = {}, {}
+        for publisher in publishers:
+            self._node.destroy_publisher(publisher)

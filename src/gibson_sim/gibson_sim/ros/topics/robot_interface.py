@@ -1,0 +1,359 @@
+"""The topics of one robot."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+from geometry_msgs.msg import Twist, TwistStamped, WrenchStamped
+from nav_msgs.msg import Odometry as RosOdometry
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from sensor_msgs.msg import BatteryState, Imu, JointState, LaserScan, PointCloud2
+from std_msgs.msg import Bool, String
+from tf2_msgs.msg import TFMessage
+from trajectory_msgs.msg import JointTrajectory
+
+from gibson_sim.config import PhysicsConfig
+from gibson_sim.description.xacro import published_description
+from gibson_sim.errors import CommandError
+from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_matrix
+from gibson_sim.physics.world import PhysicsWorld
+from gibson_sim.robots.spec import RobotSpec
+from gibson_sim.ros import conversions
+from gibson_sim.ros.lockstep.digest_publisher import DigestPublisher
+from gibson_sim.ros.lockstep.journal import Journal
+from gibson_sim.ros.topics import names, qos
+from gibson_sim.ros.topics.arm_interface import ArmInterface
+from gibson_sim.ros.topics.stamped_commands import StampedCommands
+from gibson_sim.ros.wire.fast_publish import FastImu, FastJointStates, FastOdometry, FastTf, RelativePoses
+from gibson_sim.sensors.imu import ImuReading
+from gibson_sim.sensors.suite import Measurements, SensorSuite
+from gibson_sim.types import WORLD_FRAME, SceneState
+
+
+class RobotInterface:
+    """Publishes what a robot measures and hands it what it is told. All names are relative to its namespace.
+
+    Subscribes:
+        cmd_vel (geometry_msgs/Twist, geometry_msgs/TwistStamped, or both, see ``cmd_vel_type``): wanted velocity, base frame, m/s
+            and rad/s. Older than ``cmd_vel_timeout`` it stops the robot. A NaN or an infinity is ignored with a warning.
+        joint_trajectory (trajectory_msgs/JointTrajectory): joints pass through its points; an empty one stops them.
+        joint_command (sensor_msgs/JointState): joints go to the positions, or turn at the velocities where it has no positions.
+
+    Publishes:
+        tf and tf_static: odom -> base, moving links; sensors, latched. One robot alone uses /tf and /tf_static.
+        odom (nav_msgs/Odometry): from the wheels. ground_truth/odom (nav_msgs/Odometry): the truth, in the map frame.
+        joint_states (sensor_msgs/JointState), robot_description (std_msgs/String, latched).
+        cmd_vel_applied (geometry_msgs/TwistStamped): each velocity command that took effect, of whatever type it came, as it came,
+            with the stamp from which it holds.
+        What its file lists: scan (sensor_msgs/LaserScan), lidar/points (sensor_msgs/PointCloud2), imu (sensor_msgs/Imu), bumper
+        (std_msgs/Bool) and bumper/wrench (geometry_msgs/WrenchStamped), battery_state (sensor_msgs/BatteryState).
+
+    And what ``ArmInterface`` lists.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        stamped: StampedCommands | None,
+        robot: RobotSpec,
+        world: PhysicsWorld,
+        config: PhysicsConfig,
+        received: Callable[[str], None],
+    ) -> None:
+        """Makes the publishers and publishes what never changes.
+
+        Args:
+            node: of the topics.
+            stamped: receives cmd_vel as TwistStamped where the node receives it as Twist; None = there is one type alone.
+            robot: whose topics they are.
+            world: that has the robot.
+            config: settings of the node.
+            received: is called with the topic of each command.
+        """
+        self.robot = robot
+        self.refused_commands = self.commands_seen = 0
+        self._node, self._config = node, config
+        self._base_frame = f"{robot.frame_prefix}{robot.base_link}"
+        self._odom_frame = f"{robot.frame_prefix}{names.ODOM_FRAME}"
+        self._publishers: list[Publisher] = []
+        self._make_publishers()
+        self.sensors = SensorSuite(robot, config.step_hz, config.publish_hz, world.scene.gravity, config.seed)
+        self._received_commands: deque[tuple[str, Any]] = deque(maxlen=qos.MOST_COMMANDS)
+        self._due_commands: deque[tuple[str, Any]] = deque(maxlen=qos.MOST_COMMANDS)
+        self._applied: list[TwistStamped] = []
+        self._last_state: list[tuple[Publisher, bytes]] = []
+        self._on_received = received
+        self._subscriptions = [
+            node.create_subscription(kind, self._topic(name), partial(self._on_command, self._resolved(name)), qos.COMMAND)
+            for kind, name in (
+                (TwistStamped if config.cmd_vel_type == "stamped" else Twist, names.CMD_VEL),
+                (JointTrajectory, names.JOINT_TRAJECTORY),
+                (JointState, names.JOINT_COMMAND),
+            )
+        ]
+        every_tick = (names.ODOM, names.GROUND_TRUTH, names.JOINT_STATES)
+        self._short_names = {name: self._resolved(name).lstrip("/") for name in (*every_tick, *self._sensor_pubs)}
+        self._every_tick = {self._short_names[name] for name in every_tick}
+        self.truth_topic = self._resolved(names.GROUND_TRUTH)
+        own_topics = frozenset(map(self._resolved, (names.CMD_VEL, names.JOINT_TRAJECTORY, names.JOINT_COMMAND)))
+        self._arms = ArmInterface(node, robot, received, world.stamp_ns)
+        self.command_topics = own_topics | self._arms.command_topics
+        self._stamped = stamped
+        if stamped is not None:
+            self._stamped_subscription = stamped.subscribe(TwistStamped, self._topic(names.CMD_VEL), self._received_commands)
+        self._rates = {lidar.name: lidar.rate_hz for lidar in robot.sensors.lidars}
+        self._imus: dict[str, FastImu] = {}
+        self._rows_of = -1
+        self._lay_out_messages()
+        self._publish_latched()
+
+    def _topic(self, name: str) -> str:
+        return f"{self.robot.namespace}/{name}" if self.robot.namespace else name
+
+    def _resolved(self, name: str) -> str:
+        return self._node.resolve_topic_name(self._topic(name))
+
+    def _on_command(self, topic: str, msg: Any) -> None:
+        self.receive(topic, msg)
+        self._on_received(topic)
+
+    def receive(self, topic: str, msg: Any) -> None:
+        """Puts a command into the queue of those that were received, as if it had arrived on ``topic``."""
+        if topic in self._arms.command_topics:
+            self._arms.receive(topic, msg)
+        else:
+            self._received_commands.append((topic, msg))
+
+    def topics_of_tick(self, measured: Measurements) -> set[str]:
+        """Returns what was published at a tick at which this was measured; without a leading slash."""
+        kinds = (measured.scans, measured.clouds, measured.imus, measured.bumpers, measured.batteries)
+        return self._every_tick | {self._short_names[reading.name] for readings in kinds for reading in readings}
+
+    def _publisher(self, kind: type[Any], topic: str, profile: Any) -> Publisher:
+        publisher = self._node.create_publisher(kind, topic, **qos.overridable(profile))
+        self._publishers.append(publisher)
+        return publisher
+
+    def _make_publishers(self) -> None:
+        robot, topic = self.robot, self._topic
+        tf, tf_static = (topic("tf"), topic("tf_static")) if robot.own_tf else (names.TF, names.TF_STATIC)
+        self._tf_pub = self._publisher(TFMessage, tf, qos.TF)
+        self._tf_static_pub = self._publisher(TFMessage, tf_static, qos.LATCHED)
+        self._applied_pub = self._publisher(TwistStamped, topic(names.CMD_VEL_APPLIED), qos.STATE)
+        self._odom_pub = self._publisher(RosOdometry, topic(names.ODOM), qos.STATE)
+        self._joints_pub = self._publisher(JointState, topic(names.JOINT_STATES), qos.STATE)
+        self._description_pub = self._publisher(String, topic(names.ROBOT_DESCRIPTION), qos.LATCHED)
+        sensors = robot.sensors
+        self._sensor_pubs: dict[str, Publisher] = {}
+        for kind, specs in (
+            (LaserScan, sensors.lidars),
+            (PointCloud2, sensors.lidars_3d),
+            (Imu, sensors.imus),
+            (Bool, sensors.bumpers),
+            (BatteryState, () if sensors.battery is None else (sensors.battery,)),
+        ):
+            for spec in specs:
+                self._sensor_pubs[spec.name] = self._publisher(kind, topic(spec.name), qos.SENSOR)
+        for bumper in sensors.bumpers:
+            name = names.bumper_wrench(bumper.name)
+            self._sensor_pubs[name] = self._publisher(WrenchStamped, topic(name), qos.SENSOR)
+        # The last one: who has found it has found all others of this robot, see ``PhysicsConfig.wait_for``.
+        self._truth_pub = self._publisher(RosOdometry, topic(names.GROUND_TRUTH), qos.STATE)
+
+    def _publish_latched(self) -> None:
+        """Publishes the description and the fixed transforms."""
+        robot, prefix = self.robot, self.robot.frame_prefix
+        self._description_pub.publish(String(data=published_description(robot.urdf)))
+        transforms = [
+            conversions.transform_to_msg(0, prefix + parent, prefix + child, pose)
+            for parent, child, pose in robot.fixed_transforms
+        ]
+        known = {t.child_frame_id for t in transforms}
+        for camera in robot.cameras:
+            if camera.optical_frame not in known:
+                parent = prefix + names.link_name(camera.link)
+                transforms.append(conversions.transform_to_msg(0, parent, camera.optical_frame, camera.pose))
+        self._tf_static_pub.publish(TFMessage(transforms=transforms))
+
+    def is_commanded_by(self, count: int) -> bool:
+        """Returns whether the cmd_vel of so many publishers is received, of either type."""
+        received = [self._subscriptions[0]] if self._stamped is None else [self._subscriptions[0], self._stamped_subscription]
+        return bool(sum(subscription.handle.get_publisher_count() for subscription in received) >= count)
+
+    def latch_commands(self) -> None:
+        """Makes the commands that were received until now due at the next step; later ones are for the steps after it."""
+        for _ in range(len(self._received_commands)):
+            self._due_commands.append(self._received_commands.popleft())
+        self._arms.latch_commands()
+
+    def apply_commands(self, world: PhysicsWorld, journal: Journal) -> None:
+        """Applies the commands that are due to the world, in the order of their arrival, and notes them in the journal."""
+        while self._due_commands:
+            self.commands_seen += 1
+            topic, msg = self._due_commands.popleft()
+            journal.note(topic, msg)
+            try:
+                self._apply(world, msg)
+            except CommandError as error:
+                self.refused_commands += 1
+                self._node.get_logger().warning(str(error), throttle_duration_sec=1.0)
+        seen, refused = self._arms.apply_commands(world, journal)
+        self.commands_seen, self.refused_commands = self.commands_seen + seen, self.refused_commands + refused
+
+    def _apply(self, world: PhysicsWorld, msg: Any) -> None:
+        name, now = self.robot.name, world.stamp_ns
+        if isinstance(msg, (JointTrajectory, JointState)):
+            world.command_joints(name, conversions.joint_command_from_msg(msg))
+        else:
+            twist = msg.twist if isinstance(msg, TwistStamped) else msg
+            world.command(name, conversions.velocity_from_msg(twist, now))
+            if self._applied_pub.get_subscription_count():
+                self._applied.append(TwistStamped(header=conversions.header_to_msg(now, self._base_frame), twist=twist))
+
+    def pop_applied(self) -> list[TwistStamped]:
+        """Returns the velocity commands that took effect since the last call, for ``publish_applied``; none without subscribers."""
+        applied, self._applied = self._applied, []
+        return applied
+
+    def publish_applied(self, commands: Sequence[TwistStamped]) -> None:
+        """Publishes velocity commands that took effect, each with the stamp of the state that it was given in."""
+        for command in commands:
+            self._applied_pub.publish(command)
+
+    def publish_odometry(self, world: PhysicsWorld) -> None:
+        """Publishes what the wheels say: it needs no state of the world."""
+        self._last_state = []
+        if not self._odom_pub.get_subscription_count():
+            return
+        odometry = world.odometry(self.robot.name)
+        pose = conversions.odometry_pose(odometry)
+        twist = (odometry.linear, odometry.lateral, 0.0), (0.0, 0.0, odometry.angular)
+        covariances = map(conversions.planar_covariance, world.odometry_covariance(self.robot.name))
+        message = self._odom.serialize(world.stamp_ns, pose.position, pose.quat_xyzw, *twist, *covariances)
+        self._publish_state(self._odom_pub, message)
+
+    def publish_state(self, world: PhysicsWorld, state: SceneState, digests: DigestPublisher | None = None) -> None:
+        """Publishes where the robot is, but for ``publish_odometry``, with the stamp of the state; ``digests`` has all of it."""
+        name, stamp = self.robot.name, state.stamp_ns
+        if self._tf_pub.get_subscription_count():
+            self._publish_state(self._tf_pub, self._tf.serialize(stamp, self._transforms(world, state)))
+        if digests is not None or self._truth_pub.get_subscription_count():
+            base, (linear, angular) = world.base_pose(name), world.base_twist(name)
+            self._publish_state(self._truth_pub, self._truth.serialize(stamp, base.position, base.quat_xyzw, linear, angular))
+            if digests is not None:
+                digests.add(self._topic(names.ODOM), world.odometry(name))
+                digests.add(self._topic(names.GROUND_TRUTH), base, linear, angular)
+        if digests is not None or self._joints_pub.get_subscription_count():
+            joints = world.joint_states(name)
+            self._publish_state(self._joints_pub, self._joints.serialize(stamp, joints))
+            if digests is not None:
+                digests.add(self._topic(names.JOINT_STATES), joints)
+        self._arms.publish(world, digests)
+
+    def _transforms(self, world: PhysicsWorld, state: SceneState) -> list[Sequence[float]]:
+        """Returns what ``tf`` says: odom to base, the moving joints, map to odom."""
+        if state.revision != self._rows_of:
+            self._find_rows(state)
+        odom_pose = conversions.odometry_pose(world.odometry(self.robot.name))
+        poses: list[Sequence[float]] = [
+            (*odom_pose.position, *odom_pose.quat_xyzw),
+            *self._relative.of(state.positions, state.quats_xyzw),
+        ]
+        if self._config.publish_map_tf:
+            base = matrix_from_pose(world.base_pose(self.robot.name))
+            map_from_odom = pose_from_matrix(base @ invert(matrix_from_pose(odom_pose)))
+            poses.append((*map_from_odom.position, *map_from_odom.quat_xyzw))
+        return poses
+
+    def _publish_state(self, publisher: Publisher, message: bytes) -> None:
+        publisher.publish(message)
+        self._last_state.append((publisher, message))
+
+    def publish_state_again(self) -> None:
+        """Publishes odometry and state of the last tick once more."""
+        for publisher, message in self._last_state:
+            publisher.publish(message)
+
+    def _lay_out_messages(self) -> None:
+        """Prepares the messages whose shape never changes."""
+        robot, prefix = self.robot, self.robot.frame_prefix
+        frames = [(self._odom_frame, self._base_frame), *((prefix + p, prefix + c) for _, p, c in robot.moving_joints)]
+        if self._config.publish_map_tf:
+            frames.append((WORLD_FRAME, self._odom_frame))
+        self._tf = FastTf(frames)
+        self._odom = FastOdometry(self._odom_frame, self._base_frame)
+        self._truth = FastOdometry(WORLD_FRAME, self._base_frame)
+        self._joints = FastJointStates([joint for joint, _, _ in robot.moving_joints])
+
+    def _find_rows(self, state: SceneState) -> None:
+        """Looks up this robot's links, whose rows are those of one revision of the scene."""
+        row, name = {link: i for i, link in enumerate(state.links)}, self.robot.name
+        pairs = [(row[f"{name}/{parent}"], row[f"{name}/{child}"]) for _, parent, child in self.robot.moving_joints]
+        self._relative = RelativePoses(pairs)
+        self._rows_of = state.revision
+
+    def measure(self, world: PhysicsWorld, *, all_of_it: bool) -> Measurements:
+        """Returns what is due of the sensors at the step that was just made: all of it, or no lidar and IMU that nobody listens to."""
+        return self.sensors.measure(world, world.step_count, world.stamp_ns, None if all_of_it else self._has_subscribers)
+
+    def _has_subscribers(self, sensor: str) -> bool:
+        return bool(self._sensor_pubs[sensor].get_subscription_count())
+
+    def publish_sensors(self, measured: Measurements, digests: DigestPublisher | None = None) -> None:
+        """Publishes what was measured at a step, each with the stamp of that step."""
+        if digests is not None:
+            for readings in (measured.scans, measured.clouds, measured.imus, measured.bumpers, measured.batteries):
+                for reading in readings:
+                    digests.add(self._topic(reading.name), reading)
+        for scan in measured.scans:
+            scan_time = 1.0 / self._rates[scan.name]
+            self._sensor_pubs[scan.name].publish(conversions.scan_to_msg(scan, self._frame(scan.link), scan_time))
+        for cloud in measured.clouds:
+            self._sensor_pubs[cloud.name].publish(conversions.lidar_cloud_to_msg(cloud, self._frame(cloud.link)))
+        for imu in measured.imus:
+            if self._sensor_pubs[imu.name].get_subscription_count():
+                self._sensor_pubs[imu.name].publish(self._imu_message(imu))
+        for bumper in measured.bumpers:
+            pressed, wrench = conversions.bumper_to_msgs(bumper, self._frame(bumper.link))
+            self._sensor_pubs[bumper.name].publish(pressed)
+            self._sensor_pubs[names.bumper_wrench(bumper.name)].publish(wrench)
+        for battery in measured.batteries:
+            self._sensor_pubs[battery.name].publish(conversions.battery_to_msg(battery))
+
+    def _imu_message(self, reading: ImuReading) -> bytes:
+        """Returns a sample as bytes; the covariance of the orientation stays that of the first one."""
+        message = self._imus.get(reading.name)
+        if message is None:
+            orientation_covariance = conversions.imu_to_msg(reading, "").orientation_covariance
+            message = FastImu(self._frame(reading.link), orientation_covariance.tolist())
+            self._imus[reading.name] = message
+        quat = reading.orientation_xyzw or (0.0, 0.0, 0.0, 1.0)
+        angular, linear = reading.angular_velocity.tolist(), reading.linear_acceleration.tolist()
+        variances = reading.angular_variance, reading.linear_variance
+        return message.serialize(reading.stamp_ns, quat, angular, linear, *variances)
+
+    def _frame(self, link: str) -> str:
+        return self.robot.frame_prefix + names.link_name(link)
+
+    def reset(self, step: int) -> None:
+        """Forgets commands and what the sensors remember, after ``step`` steps of the world."""
+        self._received_commands.clear()
+        self._due_commands.clear()
+        self._applied.clear()
+        self._arms.reset()
+        self.sensors.reset(step)
+
+    def close(self) -> None:
+        """Takes the topics back."""
+        self._arms.close()
+        if self._stamped is not None:
+            self._stamped.unsubscribe(self._stamped_subscription)
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        for publisher in self._publishers:
+            self._node.destroy_publisher(publisher)
+        self._publishers, self._subscriptions = [], []

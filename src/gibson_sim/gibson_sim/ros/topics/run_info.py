@@ -1,0 +1,76 @@
+"""What a node was started with, on a latched topic, so that a bag knows how to start the run again."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import fields
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rclpy.node import Node
+
+from gibson_msgs.msg import RunInfo
+from gibson_sim import __version__
+from gibson_sim.ros import conversions
+from gibson_sim.ros.topics import names, qos
+
+_PACKAGES = ("numpy", "pybullet", "moderngl", "rclpy")
+_PATHS = ("scene", "robot")
+"""Settings that may be paths, which mean nothing in another folder."""
+
+
+def publish_run_info(node: Node, kind: str, config: Any, stamp_ns: int, **facts: Any) -> Any:
+    """Publishes settings and surroundings of a node; returns the publisher, to be kept.
+
+    Args:
+        node: whose they are.
+        kind: physics or render.
+        config: settings of the node, a dataclass.
+        stamp_ns: simulation time.
+        facts: what else results may depend on.
+    """
+    publisher = node.create_publisher(RunInfo, names.RUN_INFO, qos.RUN_INFO)
+    settings = {f.name: _absolute(f.name, getattr(config, f.name)) for f in fields(config)}
+    surroundings = {
+        "machine": platform.machine(),
+        "processor": _processor(),
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        **{name: version for name in _PACKAGES if (version := _version(name))},
+        **facts,
+    }
+    publisher.publish(
+        RunInfo(
+            header=conversions.header_to_msg(stamp_ns, ""),
+            kind=kind,
+            node=node.get_fully_qualified_name(),
+            version=__version__,
+            settings=yaml.safe_dump(settings, sort_keys=False),
+            platform=yaml.safe_dump(surroundings, sort_keys=False),
+        )
+    )
+    return publisher
+
+
+def _absolute(name: str, value: Any) -> Any:
+    """Returns a setting; a path to something that is there as an absolute path."""
+    if name in _PATHS and value and ("/" in value or Path(value).suffix) and Path(value).exists():
+        return str(Path(value).resolve())
+    return value
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return ""
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.processor())

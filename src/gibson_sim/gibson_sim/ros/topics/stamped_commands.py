@@ -1,0 +1,81 @@
+"""A topic under a second type: cmd_vel as TwistStamped, beside cmd_vel as Twist."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from threading import Thread
+from typing import Any
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+
+from gibson_sim.ros.topics import qos
+
+
+class StampedCommands:
+    """Puts the messages of topics into queues.
+
+    One participant cannot hold a topic under two types, so this is a second context with a thread of its own. It only puts
+    messages into queues; the world is touched by the main thread alone.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._owner = node
+        self._arrived: deque[str] = deque()
+        self.types: dict[str, type[Any]] = {}
+        """Resolved topic -> type of its messages here, of what ``subscribe`` was called for."""
+        self.wake: Callable[[], Any] = lambda: None
+        """Is called in the thread of this class when something arrived."""
+        self._context = rclpy.Context()
+        self._context.init(domain_id=node.context.get_domain_id())
+        self._node = Node(
+            f"{node.get_name()}_stamped_commands",
+            namespace=node.get_namespace(),
+            context=self._context,
+            use_global_arguments=False,
+            start_parameter_services=False,
+        )
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._thread = Thread(target=self._spin, name="stamped-commands", daemon=True)
+        self._thread.start()
+
+    def subscribe(self, kind: type[Any], topic: str, commands: deque[tuple[str, Any]]) -> Any:
+        """Returns a subscription that puts (topic, message) of what arrives on a topic of the owner into ``commands``."""
+        topic = self._owner.resolve_topic_name(topic)
+        self.types[topic] = kind
+
+        def take(msg: Any) -> None:
+            commands.append((topic, msg))
+            self._arrived.append(topic)
+            self.wake()
+
+        return self._node.create_subscription(kind, topic, take, qos.COMMAND)
+
+    def hear(self, kind: type[Any], topic: str, profile: QoSProfile, take: Callable[[Any], None]) -> Any:
+        """Returns a subscription whose messages go to ``take``, in the thread of this class."""
+        return self._node.create_subscription(kind, self._owner.resolve_topic_name(topic), take, profile)
+
+    def arrived(self) -> list[str]:
+        """Returns the topics of what arrived since the last call, once for each message. For the main thread."""
+        return [self._arrived.popleft() for _ in range(len(self._arrived))]
+
+    def unsubscribe(self, subscription: Any) -> None:
+        """Ends a subscription."""
+        self._node.destroy_subscription(subscription)
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except ExternalShutdownException:
+            pass
+
+    def close(self) -> None:
+        """Ends the thread and the context."""
+        self._executor.shutdown(timeout_sec=2.0)
+        self._context.try_shutdown()
+        self._thread.join(timeout=2.0)
+        self._node.destroy_node()

@@ -1,0 +1,208 @@
+"""What every step and tick publishes: at once, or, in a pipeline, when the others have done the tick before."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import NamedTuple
+
+from geometry_msgs.msg import TwistStamped
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock as ClockMsg
+
+from gibson_msgs.msg import Contacts
+from gibson_sim.config import PhysicsConfig
+from gibson_sim.physics.world import PhysicsWorld
+from gibson_sim.ros import conversions
+from gibson_sim.ros.lockstep.digest_publisher import DigestPublisher
+from gibson_sim.ros.lockstep.image_gate import ImageGate
+from gibson_sim.ros.lockstep.lockstep_gate import LockstepGate
+from gibson_sim.ros.topics import names, qos
+from gibson_sim.ros.topics.robot_interface import RobotInterface
+from gibson_sim.ros.topics.world_interface import WorldInterface
+from gibson_sim.ros.wire.fast_publish import FastClock
+from gibson_sim.sensors.schedule import is_due
+from gibson_sim.sensors.suite import Measurements
+from gibson_sim.standard.lockstep import CAMERAS
+from gibson_sim.standard.simulator import Simulator
+from gibson_sim.standard.states import SimulationState
+from gibson_sim.types import CameraSpec, SceneState
+
+
+class ContactsPublisher:
+    """Publishes all points of contact of the simulation.
+
+    Publishes, while somebody listens:
+        contacts (gibson_msgs/Contacts) at ``contacts_rate``.
+    """
+
+    def __init__(self, node: Node, config: PhysicsConfig) -> None:
+        self._config = config
+        self._publisher = node.create_publisher(Contacts, names.CONTACTS, **qos.overridable(qos.STATE))
+
+    def publish(self, world: PhysicsWorld, tick: int) -> None:
+        """Publishes what touched in the last step of a tick, if it is due; ``tick`` counts at ``publish_hz``."""
+        rate = min(self._config.contacts_rate, self._config.publish_hz)
+        if self._publisher.get_subscription_count() and is_due(tick, rate, self._config.publish_hz):
+            self._publisher.publish(conversions.contacts_to_msg(world.contacts(), world.stamp_ns))
+
+
+_Measured = Mapping[str, Measurements]
+"""By the names of the robots."""
+
+
+class _Step(NamedTuple):
+    """A step that was made."""
+
+    stamp_ns: int
+    tick: int | None
+    """Number of the tick that it is; None = it is none."""
+    has_clock: bool
+    """Whether /clock is published at it, whatever else is."""
+    applied: Mapping[str, Sequence[TwistStamped]]
+    """Velocity commands that took effect with it, by the names of the robots; only those that have any."""
+
+
+class TickPublisher:
+    """Publishes what is due at the steps of a world.
+
+    Publishes:
+        /clock (rosgraph_msgs/Clock) at ``clock_hz``, and with whatever else is published.
+        And what ``WorldInterface``, ``ContactsPublisher`` and, for each robot, ``RobotInterface`` list.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        config: PhysicsConfig,
+        simulator: Simulator,
+        robots: Mapping[str, RobotInterface],
+        world_topics: WorldInterface,
+        digests: DigestPublisher | None,
+    ) -> None:
+        """Makes the publisher of /clock; ``robots`` is looked into at every step."""
+        self.gate: LockstepGate | None = None
+        """Is told of every tick."""
+        self.images: ImageGate | None = None
+        """The same."""
+        self._config, self._simulator, self._robots, self._world_topics = config, simulator, robots, world_topics
+        self._digests = digests
+        self._contacts = ContactsPublisher(node, config)
+        self._clock_message = FastClock()
+        self._clock_pub = node.create_publisher(ClockMsg, names.CLOCK, **qos.overridable(qos.CLOCK))
+        self._clock_ns = 0
+        """Stamp of the last /clock."""
+        self._held: list[tuple[_Step, _Measured]] = []
+        self._last_measured: _Measured = {}
+
+    def publish_clock(self, stamp_ns: int) -> None:
+        """Publishes what time it is."""
+        self._clock_ns = stamp_ns
+        if self._clock_pub.get_subscription_count():
+            self._clock_pub.publish(self._clock_message.serialize(stamp_ns))
+
+    def end_clock(self, stamp_ns: int) -> None:
+        """Publishes at what time the run ended, if none was published at that step."""
+        if stamp_ns != self._clock_ns:
+            self.publish_clock(stamp_ns)
+
+    def publish(self, world: PhysicsWorld) -> None:
+        """Publishes what is due at the step that was just made."""
+        step = self._step(world)
+        # First of all what controllers and renderers work by while the rest is measured and written.
+        state = None if step.tick is None else self._begin_tick(world, step.tick)
+        self._publish_rest(step, self._measured(world), state)
+
+    def hold(self, world: PhysicsWorld) -> None:
+        """Measures what is due at the step that was just made, and keeps it for ``release``."""
+        self._held.append((self._step(world), self._measured(world)))
+
+    @property
+    def holds_tick(self) -> bool:
+        """Whether a tick was made that is not published."""
+        return bool(self._held) and self._held[-1][0].tick is not None
+
+    def release(self, world: PhysicsWorld) -> None:
+        """Publishes what was held, in its order; the world is as it was at the last of it."""
+        held, self._held = self._held, []
+        for step, measured in held:
+            self._publish_rest(step, measured, None if step.tick is None else self._begin_tick(world, step.tick))
+
+    def forget(self) -> None:
+        """Drops what was held: the simulation was reset, or has another world."""
+        self._held.clear()
+
+    def publish_again(self, all_of_it: bool) -> None:
+        """Publishes what renderers draw by once more, or all of the present tick."""
+        if all_of_it:
+            for name, measured in self._last_measured.items():
+                if name in self._robots:
+                    self._robots[name].publish_state_again()
+                    self._robots[name].publish_sensors(measured)
+        self._world_topics.publish_state_again()
+
+    def _step(self, world: PhysicsWorld) -> _Step:
+        step, config = world.step_count, self._config
+        tick, beside = divmod(step, config.step_hz // config.publish_hz)
+        asked_for = self._simulator.state is not SimulationState.PLAYING
+        has_clock = asked_for or is_due(step, config.clock_hz, config.step_hz)
+        applied = {name: commands for name, robot in self._robots.items() if (commands := robot.pop_applied())}
+        return _Step(world.stamp_ns, None if beside else tick, has_clock, applied)
+
+    def _measured(self, world: PhysicsWorld) -> _Measured:
+        return {name: robot.measure(world, all_of_it=self._digests is not None) for name, robot in self._robots.items()}
+
+    def _begin_tick(self, world: PhysicsWorld, tick: int) -> tuple[SceneState, tuple[CameraSpec, ...]]:
+        """Publishes what a tick begins with; returns the state, and the cameras that are due."""
+        simulator = self._simulator
+        self.publish_clock(world.stamp_ns)
+        due = self._world_topics.due(tick)
+        # First of all what takes others longest: pictures where there are any, else the answers of controllers.
+        if not due:
+            self._publish_odometry(world)
+        # The whole state now: sensors that are due at this step then need no other one.
+        state = world.state()
+        self._world_topics.publish_state(state, due, simulator.epoch, simulator.epoch_step)
+        if due:
+            self._publish_odometry(world)
+        for robot in self._robots.values():
+            robot.publish_state(world, state, self._digests)
+        self._contacts.publish(world, tick)
+        if self.images is not None:
+            self.images.publish_tick(world.stamp_ns, self._world_topics.cameras, due)
+        return state, tuple(self._world_topics.cameras[i] for i in due)
+
+    def _publish_odometry(self, world: PhysicsWorld) -> None:
+        for robot in self._robots.values():
+            robot.publish_odometry(world)
+
+    def _publish_rest(self, step: _Step, measured: _Measured, begun: tuple[SceneState, tuple[CameraSpec, ...]] | None) -> None:
+        if begun is None and (step.has_clock or step.applied or any(measured.values())):
+            self.publish_clock(step.stamp_ns)
+        for name, commands in step.applied.items():
+            if name in self._robots:
+                self._robots[name].publish_applied(commands)
+        for name, measurements in measured.items():
+            if measurements and name in self._robots:
+                self._robots[name].publish_sensors(measurements, self._digests)
+        if begun is not None:
+            self._end_tick(*begun, measured)
+
+    def _end_tick(self, state: SceneState, due: tuple[CameraSpec, ...], measured: _Measured) -> None:
+        """Publishes the digests. In lockstep, the others then have their turn."""
+        if self._digests is not None:
+            self._digests.add(names.SCENE_STATE, state.links, state.positions, state.quats_xyzw, state.twists)
+            self._digests.publish(state.stamp_ns, self._simulator.epoch, self._simulator.epoch_step)
+        self._last_measured = measured
+        if self.gate is not None:
+            self.gate.publish_tick(state.stamp_ns, partial(self._topics_of_tick, due, measured))
+
+    def _topics_of_tick(self, due: tuple[CameraSpec, ...], measured: _Measured) -> set[str]:
+        """Returns what was, and will be, published at a tick; without leading slashes."""
+        topics = {names.SCENE_STATE, CAMERAS} if due else {names.SCENE_STATE}
+        for camera in due:
+            found = names.camera_topics(camera.name)
+            topics.update(found[output] for output in camera.outputs)
+        for name, measurements in measured.items():
+            topics |= self._robots[name].topics_of_tick(measurements) if name in self._robots else set()
+        return topics

@@ -1,0 +1,443 @@
+"""Turns an SDF model into the tree of links that physics moves: masses, joints, shapes; nested models become part of it.
+
+What stands still in a world is read by ``sdf_model``, whose poses, frames and shapes are used here.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.description.omissions import OmissionKind
+from gibson_sim.description.shapes import Shape
+from gibson_sim.description.urdf import Inertial, UrdfCollision, UrdfJoint, UrdfLink, UrdfModel, UrdfVisual
+from gibson_sim.errors import SceneError
+from gibson_sim.geometry.transforms import invert, pose_from_matrix
+from gibson_sim.quoting import quoted
+from gibson_sim.scenes.builder import SceneBuilder
+from gibson_sim.scenes.sdf.model import Element, SdfModels, name_of, numbers, unread_material, visual_color
+from gibson_sim.types import Pose, Vec3
+
+_KINDS = {"revolute": "revolute", "continuous": "continuous", "prismatic": "prismatic", "fixed": "fixed"}
+_ENDLESS = 1e6
+"""Limits beyond this are none: files write 1e16 and more."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointAxis:
+    """How a joint moves; kind and limits are those of ``UrdfJoint``."""
+
+    kind: str
+    xyz: Vec3 = (0.0, 0.0, 1.0)
+    """Unit vector, in the frame of the joint unless another one is named."""
+    expressed_in: str = ""
+    """Frame of the axis (SDF 1.7 and later)."""
+    parent_model_frame: bool | None = None
+    """What <use_parent_model_frame> says; None = nothing."""
+    lower: float = 0.0
+    upper: float = -1.0
+    effort: float = 0.0
+    velocity: float = 0.0
+    damping: float = 0.0
+    friction: float = 0.0
+
+    def in_model_frame(self, version: tuple[int, ...]) -> bool:
+        """Returns whether the axis is in the frame of the model: asked for, or written in SDF 1.4 or older."""
+        if self.parent_model_frame is not None:
+            return self.parent_model_frame
+        return bool(version) and version <= (1, 4)
+
+
+def joint_axis(element: Element, name: str, builder: SceneBuilder) -> JointAxis:
+    """Returns the axis of a <joint>; of a kind that is not simulated, a fixed one after a warning."""
+    kind = _KINDS.get(element.get("type", ""))
+    where = f"joint {name}"
+    if kind is None:
+        builder.warn(f"{where}: type {quoted(element.get('type', ''))} is not simulated; it does not move")
+        return JointAxis("fixed")
+    axis = element.find("axis")
+    if kind == "fixed" or axis is None:
+        if kind != "fixed":
+            builder.warn(f"{where}: has no <axis>; it turns about z of the joint")
+        return JointAxis("continuous" if kind == "revolute" else kind)
+    xyz = axis.find("xyz")
+    text = "0 0 1" if xyz is None else (xyz.text or "").strip()
+    values = numbers(text, (3,)) or [0.0, 0.0, 0.0]
+    length = math.sqrt(sum(c * c for c in values))
+    if length < 1e-9:
+        builder.warn(f"{where}: axis {quoted(text)} is no direction; z is used", OmissionKind.INVALID)
+        values, length = [0.0, 0.0, 1.0], 1.0
+    asked = (axis.findtext("use_parent_model_frame") or "").strip().lower()
+    lower = _number(axis, "limit/lower", -math.inf, where, builder)
+    upper = _number(axis, "limit/upper", math.inf, where, builder)
+    if lower > upper:
+        builder.warn(f"{where}: limits are {lower:g} to {upper:g}, must be lower to upper", OmissionKind.INVALID)
+    endless = lower < -_ENDLESS and upper > _ENDLESS
+    if endless or kind == "continuous":
+        kind = "continuous" if kind == "revolute" else kind
+        lower, upper = 0.0, -1.0
+    lower, upper = max(lower, -_ENDLESS), min(upper, _ENDLESS)
+    effort, velocity = (_number(axis, f"limit/{key}", 0.0, where, builder) for key in ("effort", "velocity"))
+    damping, friction = (_number(axis, f"dynamics/{key}", 0.0, where, builder) for key in ("damping", "friction"))
+    return JointAxis(
+        kind,
+        (values[0] / length, values[1] / length, values[2] / length),
+        "" if xyz is None else xyz.get("expressed_in", "").strip(),
+        asked in ("1", "true") if asked else None,
+        lower,
+        upper,
+        # A negative one, or infinity, means that there is none.
+        effort if 0.0 < effort < _ENDLESS else 0.0,
+        velocity if 0.0 < velocity < _ENDLESS else 0.0,
+        damping if math.isfinite(damping) else 0.0,
+        friction if math.isfinite(friction) else 0.0,
+    )
+
+
+def _number(axis: Element, path: str, default: float, where: str, builder: SceneBuilder) -> float:
+    """Returns a number, which may be infinite."""
+    text = (axis.findtext(path) or "").strip()
+    if not text:
+        return default
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if math.isnan(value):
+        builder.warn(f"{where}: <{path.rpartition('/')[2]}> is {quoted(text)}, must be a number", OmissionKind.INVALID)
+        return default
+    return value
+
+
+F64 = NDArray[np.float64]
+MAX_LINKS = 500
+WORLD = "world"
+_SCOPE = "__"
+"""Between the names of a nested model and of its link; SDF has ``::``."""
+_MODEL_FRAME = "model_frame"
+_INERTIA = {"ixx": 1.0, "ixy": 0.0, "ixz": 0.0, "iyy": 1.0, "iyz": 0.0, "izz": 1.0}
+"""What SDF takes where a file gives nothing, kg m^2."""
+
+
+@dataclass(slots=True)
+class _Scope:
+    """One <model>, the outermost or a nested one."""
+
+    model: Element
+    T_root_model: F64
+    """(4, 4), in the frame of the outermost model."""
+    prefix: str
+    base: Path
+    version: tuple[int, ...]
+
+
+@dataclass(slots=True)
+class _Flat:
+    """Everything of a model, nested ones included, under names of its own."""
+
+    links: dict[str, tuple[Element, _Scope]] = field(default_factory=dict)
+    T_root_link: dict[str, F64] = field(default_factory=dict)
+    frames: dict[str, str] = field(default_factory=dict)
+    """Name of a frame or nested model -> the link that it is fixed to."""
+    joints: list[tuple[Element, _Scope]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SdfBody:
+    """A model as physics can load it."""
+
+    model: UrdfModel
+    """Its root is where the model's own frame is."""
+    static: bool
+
+
+class SdfBodyReader:
+    """Reads one model.
+
+    Args:
+        models: of the file; takes the warnings.
+        path: the file, for messages.
+    """
+
+    def __init__(self, models: SdfModels, path: Path) -> None:
+        self.models = models
+        self.builder = models.builder
+        self.path = path
+
+    def read(self, model: Element, base: Path, version: tuple[int, ...]) -> SdfBody:
+        """Returns the model in a frame of its own: its <pose> is for whoever places it.
+
+        Args:
+            model: the <model>.
+            base: folder of relative names.
+            version: of SDF.
+
+        Raises:
+            SceneError: it has no links, or too many, or two of the same name.
+        """
+        name = model.get("name", "").strip() or self.path.stem
+        flat = _Flat()
+        self._collect(flat, _Scope(model, np.eye(4), "", base, version), (Path(os.path.realpath(self.path)),), 0)
+        if not flat.links:
+            raise SceneError(f"{self.path}: model {quoted(name)} has no <link>")
+        frozen = (model.findtext("static") or "").strip().lower() in ("1", "true")
+        tree = _Tree(self, flat, f"model {name}")
+        tree.add_joints()
+        tree.join_roots(frozen)
+        static = frozen or tree.fixed_to_world
+        links = self._links(flat, tree, static)
+        ordered = tuple(links[link] for link in tree.order())
+        # Nothing of a <static> model moves, not even its doors.
+        joints = tuple(replace(joint, kind="fixed") if frozen else joint for joint in tree.joints)
+        return SdfBody(UrdfModel(name, self.path, ordered, joints, tuple(self.builder.warnings)), static)
+
+    def _collect(self, flat: _Flat, scope: _Scope, files: tuple[Path, ...], depth: int) -> None:
+        """Adds the links and joints of a model and of those in it."""
+        where = f"model {scope.prefix.removesuffix(_SCOPE) or scope.model.get('name', '')}"
+        self.models.check_nesting(where, depth)
+        for child in scope.model:
+            if child.tag == "link":
+                link = scope.prefix + name_of(child)
+                if link in flat.links or name_of(child) in ("", WORLD):
+                    raise SceneError(
+                        f"{self.path}: {where}: a link is named {quoted(link)}; names must differ, and not be {quoted(WORLD)}"
+                    )
+                if len(flat.links) >= MAX_LINKS:
+                    raise SceneError(f"{self.path}: has more than {MAX_LINKS} links; split it")
+                flat.links[link] = (child, scope)
+                flat.T_root_link[link] = scope.T_root_model @ self.models.placed(scope.model, child, where)
+            elif child.tag == "joint":
+                flat.joints.append((child, scope))
+            elif child.tag == "model":
+                at = scope.T_root_model @ self.models.placed(scope.model, child, where)
+                inner = _Scope(child, at, f"{scope.prefix}{name_of(child)}{_SCOPE}", scope.base, scope.version)
+                self._nested(flat, inner, files, depth)
+            elif child.tag == "include":
+                found = self.models.included(child, scope.base, scope.model, files)
+                if found is not None:
+                    at = scope.T_root_model @ found.T_parent_model
+                    # With merge="true" the links of the included model become those of this one.
+                    merged = child.get("merge", "false").strip().lower() in ("1", "true")
+                    prefix = scope.prefix if merged else f"{scope.prefix}{found.name}{_SCOPE}"
+                    inner = _Scope(found.model, at, prefix, found.file.parent, self.models.version(found.file))
+                    self._nested(flat, inner, (*files, Path(os.path.realpath(found.file))), depth)
+        for child in scope.model.iterfind("frame"):
+            attached = (child.get("attached_to") or "").strip().replace("::", _SCOPE)
+            first = next((link for link in flat.links if link.startswith(scope.prefix)), "")
+            flat.frames[scope.prefix + name_of(child)] = scope.prefix + attached if attached else first
+
+    def _nested(self, flat: _Flat, inner: _Scope, files: tuple[Path, ...], depth: int) -> None:
+        before = len(flat.links)
+        self._collect(flat, inner, files, depth + 1)
+        if len(flat.links) > before:
+            flat.frames.setdefault(inner.prefix.removesuffix(_SCOPE), list(flat.links)[before])
+
+    def _links(self, flat: _Flat, tree: _Tree, static: bool) -> dict[str, UrdfLink]:
+        """Returns every link by name; a model without collisions collides as it is drawn, as in worlds."""
+        has_collision = any(element.find("collision") is not None for element, _ in flat.links.values())
+        links = {name: UrdfLink(name) for name in tree.extra_links}
+        for name, (element, scope) in flat.links.items():
+            visuals, collisions = [], []
+            for item in element.iterfind("visual"):
+                color, visible = visual_color(item)
+                for shape, pose, _ in self._shapes(flat, name, item, scope):
+                    lacks = unread_material(item, self.builder.has_textures(shape)) if visible else ""
+                    if lacks:
+                        self.builder.warn(f"link {name}: {lacks}", OmissionKind.UNSUPPORTED_ASSET)
+                    if visible:
+                        visuals.append(UrdfVisual(shape, pose, color))
+                    if not has_collision:
+                        collisions.append(UrdfCollision(shape, pose))
+            for item in element.iterfind("collision"):
+                for shape, pose, plane in self._shapes(flat, name, item, scope):
+                    if plane and not static:
+                        text = f"link {name}: a plane collides in a <static> model only; left out"
+                        self.builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
+                        continue
+                    collisions.append(UrdfCollision(shape, pose))
+            links[name] = UrdfLink(
+                name, tuple(visuals), tuple(collisions), self._inertial(element, name), self._friction(element, name)
+            )
+        return links
+
+    def _shapes(self, flat: _Flat, name: str, item: Element, scope: _Scope) -> list[tuple[Shape, Pose, bool]]:
+        """Returns the shapes of a <visual> or <collision>, T_link_shape, and whether it is a plane."""
+        T_link_model = invert(flat.T_root_link[name]) @ scope.T_root_model
+        found = self.models.shapes(scope.model, item, T_link_model, np.eye(4), f"{self.path.name}: link {name}", scope.base)
+        return [(shape, pose_from_matrix(matrix), plane) for shape, matrix, plane in found]
+
+    def _inertial(self, element: Element, name: str) -> Inertial | None:
+        """Returns the mass of a link, None if it has none; without <inertia> it is 1 kg m^2 about every axis, as SDF says."""
+        item = element.find("inertial")
+        if item is None:
+            return None
+        where = f"link {name}: inertial"
+        mass = self._number(item, "mass", 1.0, where)
+        inertia = item.find("inertia")
+        source = item if inertia is None else inertia
+        ixx, ixy, ixz, iyy, iyz, izz = (self._number(source, key, default, where) for key, default in _INERTIA.items())
+        return Inertial(mass, pose_from_matrix(self.models.pose(item, where)), (ixx, ixy, ixz, iyy, iyz, izz))
+
+    def _friction(self, element: Element, name: str) -> float | None:
+        """Returns the friction of a link's first shape that gives one."""
+        for path in ("surface/friction/ode", "surface/friction/bullet"):
+            for item in element.iterfind(f"collision/{path}"):
+                for key in ("mu", "friction"):
+                    if (item.findtext(key) or "").strip():
+                        return self._number(item, key, 0.5, f"link {name}: friction")
+        return None
+
+    def _number(self, element: Element, key: str, default: float, where: str) -> float:
+        text = (element.findtext(key) or "").strip()
+        if not text:
+            return default
+        values = numbers(text, (1,))
+        if values is None:
+            self.builder.warn(f"{where}: <{key}> is {quoted(text)}, must be a finite number", OmissionKind.INVALID)
+            return default
+        return values[0]
+
+
+class _Tree:
+    """The joints of a flat model, made a tree."""
+
+    def __init__(self, reader: SdfBodyReader, flat: _Flat, where: str) -> None:
+        self.models, self.builder = reader.models, reader.builder
+        self.flat = flat
+        self.where = where
+        self.joints: list[UrdfJoint] = []
+        self.extra_links: list[str] = []
+        self.fixed_to_world = False
+        self._world_link = ""
+        self._parents: dict[str, str] = {}
+        self._T_root: dict[str, F64] = dict(flat.T_root_link)
+
+    def add_joints(self) -> None:
+        """Adds all joints; one that would close a loop is left out."""
+        for element, scope in self.flat.joints:
+            name = scope.prefix + name_of(element)
+            parent, child = (self._end(element, scope, tag) for tag in ("parent", "child"))
+            axis = joint_axis(element, name, self.builder)
+            if not parent or not child:
+                text = f"{self.where}: joint {quoted(name)} names a <parent> or <child> that is not there; left out"
+                self.builder.warn(text, OmissionKind.INVALID)
+            elif parent == WORLD and axis.kind == "fixed":
+                self.fixed_to_world = True
+            elif child == WORLD or parent == child or child in self._parents or self._is_above(child, parent):
+                self.builder.warn(
+                    f"{self.where}: joint {quoted(name)} gives {quoted(child)} a second parent or closes a loop; left out"
+                )
+            else:
+                if parent == WORLD and not self._world_link:
+                    self.fixed_to_world = True
+                    self._world_link = self._add_link(WORLD)
+                self._join(element, scope, name, parent, child, axis)
+
+    def join_roots(self, frozen: bool) -> None:
+        """Fixes links that no joint holds to the first one, and puts the root where the model's frame is."""
+        roots = [name for name in [*self.extra_links, *self.flat.links] if name not in self._parents]
+        if len(roots) > 1 and not frozen:
+            rest = ", ".join(roots[1:])
+            self.builder.warn(
+                f"{self.where}: no joint holds {rest}; fixed to {roots[0]}, spawn them one by one to move them alone"
+            )
+        root = roots[0]
+        if not np.allclose(self._T_root[root], np.eye(4), atol=1e-9):
+            root = self._add_link(_MODEL_FRAME)
+        for name in roots:
+            if name != root:
+                self._fix(f"{name}_fixed", root, name)
+
+    def order(self) -> list[str]:
+        """Returns the names of all links, parents first, else in the order of the file."""
+        names = [*self.extra_links, *self.flat.links]
+        children: dict[str, list[str]] = {name: [] for name in names}
+        for name in names:
+            if name in self._parents:
+                children[self._parents[name]].append(name)
+        ordered, stack = [], [name for name in names if name not in self._parents]
+        while stack:
+            ordered.append(stack.pop())
+            stack.extend(reversed(children[ordered[-1]]))
+        return ordered
+
+    def _join(self, element: Element, scope: _Scope, name: str, parent: str, child: str, axis: JointAxis) -> None:
+        """Adds a joint. URDF turns a link about its own origin: if the joint is elsewhere, a link without mass comes between."""
+        T_root_joint = self._T_root_joint(element, scope, child)
+        T_child_joint = invert(self._T_root[child]) @ T_root_joint
+        if axis.kind in ("revolute", "continuous") and np.abs(T_child_joint[:3, 3]).max() > 1e-9:
+            middle = self._add_link(f"{name}_axis")
+            self._T_root[middle] = T_root_joint
+            self._fix(f"{name}_offset", middle, child)
+            child = middle
+        direction = np.array(axis.xyz)
+        if axis.expressed_in or axis.in_model_frame(scope.version):
+            T_root_frame = scope.T_root_model
+            if axis.expressed_in:
+                T_root_frame = T_root_frame @ self.models.frame(scope.model, axis.expressed_in, self.where)
+            direction = T_root_frame[:3, :3] @ direction
+        else:
+            direction = T_root_joint[:3, :3] @ direction
+        x, y, z = (self._T_root[child][:3, :3].T @ direction).tolist()
+        self._parents[child] = parent
+        self.joints.append(
+            UrdfJoint(
+                name, axis.kind, parent, child, self._pose(parent, child), (x, y, z),
+                axis.lower, axis.upper, axis.effort, axis.velocity, axis.damping, friction=axis.friction,
+            )
+        )  # fmt: skip
+
+    def _T_root_joint(self, element: Element, scope: _Scope, child: str) -> F64:
+        pose = element.find("pose")
+        reference = "" if pose is None else pose.get("relative_to", "")
+        if reference:
+            parent = scope.T_root_model @ self.models.frame(scope.model, reference, self.where)
+        else:
+            parent = self._T_root[child]
+            named = (element.findtext("child") or "").strip()
+            if scope.prefix + named.replace("::", _SCOPE) != child:
+                parent = scope.T_root_model @ self.models.frame(scope.model, named, self.where)
+        return parent @ self.models.pose(element, self.where)
+
+    def _end(self, element: Element, scope: _Scope, tag: str) -> str:
+        """Returns the link that an end of a joint means, WORLD, or "" if there is none."""
+        named = (element.findtext(tag) or "").strip()
+        if named == WORLD:
+            return WORLD
+        name = scope.prefix + named.replace("::", _SCOPE)
+        for _ in range(len(self.flat.frames) + 1):
+            if name in self.flat.links:
+                return name
+            name = self.flat.frames.get(name, "")
+        return ""
+
+    def _is_above(self, upper: str, name: str) -> bool:
+        while name in self._parents:
+            name = self._parents[name]
+            if name == upper:
+                return True
+        return False
+
+    def _add_link(self, name: str) -> str:
+        """Adds a link without mass at the model's frame and returns its name."""
+        unique = name
+        while unique in self._T_root:
+            unique += "_"
+        self.extra_links.append(unique)
+        self._T_root[unique] = np.eye(4)
+        return unique
+
+    def _fix(self, name: str, parent: str, child: str) -> None:
+        self._parents[child] = parent
+        taken = {joint.name for joint in self.joints}
+        while name in taken:
+            name += "_"
+        self.joints.append(UrdfJoint(name, "fixed", parent, child, self._pose(parent, child), (1.0, 0.0, 0.0)))
+
+    def _pose(self, parent: str, child: str) -> Pose:
+        return pose_from_matrix(invert(self._T_root[parent]) @ self._T_root[child])

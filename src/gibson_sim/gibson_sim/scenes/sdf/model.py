@@ -1,0 +1,494 @@
+"""Reads SDF models (1.4 to 1.9): links, frames, nested models and includes, visuals and collisions.
+
+Every model is placed where it starts and stays there: joints, masses and sensors are left out. ``sdf_body`` reads those.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.description.omissions import OmissionKind
+from gibson_sim.description.shapes import Shape, ShapeKind
+from gibson_sim.errors import MeshError, SceneError, TextError
+from gibson_sim.formats.mesh import UpAxis
+from gibson_sim.formats.uris import UriResolver
+from gibson_sim.geometry.transforms import invert, matrix_from_pose, matrix_from_quat, pose_from_xyz_rpy
+from gibson_sim.quoting import clipped, quoted
+from gibson_sim.reading import is_file, parse_xml, read_file
+from gibson_sim.scenes.builder import FAR_AWAY, SceneBuilder, class_from_model
+from gibson_sim.types import Rgba, Vec3
+
+Element = ElementTree.Element
+F64 = NDArray[np.float64]
+PRIMITIVES = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length")}
+"""Shape -> the elements that say how large it is."""
+PLANE_THICKNESS = 0.01
+"""Metres; of the box that stands for a plane."""
+_SCRIPT_COLORS: dict[str, Rgba] = {
+    "White": (1.0, 1.0, 1.0, 1.0), "Grey": (0.7, 0.7, 0.7, 1.0), "DarkGrey": (0.18, 0.18, 0.18, 1.0),
+    "Black": (0.0, 0.0, 0.0, 1.0), "Red": (1.0, 0.0, 0.0, 1.0), "Green": (0.0, 1.0, 0.0, 1.0), "Blue": (0.0, 0.0, 1.0, 1.0),
+    "Yellow": (1.0, 1.0, 0.0, 1.0), "Orange": (1.0, 0.5, 0.0, 1.0), "Purple": (1.0, 0.0, 1.0, 1.0), "Wood": (0.6, 0.4, 0.2, 1.0),
+    "FlatBlack": (0.1, 0.1, 0.1, 1.0),
+}  # fmt: skip
+
+
+def numbers(text: str | None, counts: tuple[int, ...]) -> list[float] | None:
+    """Returns the numbers in an element's text, or None if they are not finite or not as many as one of ``counts``."""
+    try:
+        values = [float(word) for word in (text or "").split()]
+    except ValueError:
+        return None
+    return values if len(values) in counts and all(map(math.isfinite, values)) else None
+
+
+def primitive(element: Element) -> Shape | None:
+    """Returns a box, sphere or cylinder, or None if the element is none or has no sizes above 0."""
+    tags = PRIMITIVES.get(element.tag)
+    if tags is None:
+        return None
+    values = numbers(" ".join(element.findtext(tag) or "" for tag in tags), (3,) if element.tag == "box" else (len(tags),))
+    if values is None or min(values) <= 0:
+        return None
+    padded = [*values, 0.0, 0.0][:3]
+    size: Vec3 = (padded[0], padded[1], padded[2])
+    kinds: dict[str, ShapeKind] = {"box": "box", "sphere": "sphere", "cylinder": "cylinder"}
+    return Shape(kinds[element.tag], size)
+
+
+def plane_box(element: Element, matrix: F64) -> tuple[Shape, F64]:
+    """Returns a thin box whose upper face is the plane, and T_world_box."""
+    x, y = (numbers(element.findtext("size"), (2,)) or [1.0, 1.0])[:2]
+    normal = np.array(numbers(element.findtext("normal"), (3,)) or [0.0, 0.0, 1.0])
+    turned = matrix @ _turn_z_to(normal)
+    down = np.eye(4)
+    down[2, 3] = -PLANE_THICKNESS / 2
+    return Shape("box", (max(x, 1e-3), max(y, 1e-3), PLANE_THICKNESS)), turned @ down
+
+
+def _turn_z_to(normal: F64) -> F64:
+    """Returns a (4, 4) rotation that takes z to ``normal``."""
+    matrix = np.eye(4)
+    length = np.linalg.norm(normal)
+    if length == 0:
+        return matrix
+    z = normal / length
+    if z[2] < 1 - 1e-9:
+        x = np.cross([0.0, 1.0, 0.0], z) if abs(z[1]) < 0.9 else np.cross([1.0, 0.0, 0.0], z)
+        x /= np.linalg.norm(x)
+        matrix[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    return matrix
+
+
+def visual_color(element: Element) -> tuple[Rgba | None, bool]:
+    """Returns the colour that a <visual> gives its shape, None = the mesh's own, and whether it can be seen at all."""
+    transparency = numbers(element.findtext("transparency"), (1,)) or [0.0]
+    alpha = 1.0 - min(max(transparency[0], 0.0), 1.0)
+    if alpha < 0.01:
+        return None, False
+    material = element.find("material")
+    if material is None:
+        return None, True
+    script = (material.findtext("script/name") or "").strip().removeprefix("Gazebo/")
+    base = _SCRIPT_COLORS.get(script)
+    values = numbers(material.findtext("diffuse"), (3, 4))
+    if values is not None and material.find("pbr") is None:
+        r, g, b, a = (min(max(v, 0.0), 1.0) for v in ([*values, 1.0][:4]))
+        base = (r, g, b, a or 1.0)
+    if base is None or (base[:3] == (1.0, 1.0, 1.0) and element.find("geometry/mesh") is not None and not script):
+        return None, True
+    return (*base[:3], base[3] * alpha), True
+
+
+def unread_material(element: Element, textured: bool) -> str:
+    """Returns what of the material of a <visual> is not drawn, in words; empty = nothing.
+
+    Args:
+        element: the <visual>.
+        textured: whether its mesh has textures of its own, as the images of a <pbr> mostly are.
+    """
+    material = element.find("material")
+    if material is None:
+        return ""
+    name = (material.findtext("script/name") or "").strip()
+    if name and name.removeprefix("Gazebo/") not in _SCRIPT_COLORS and material.find("diffuse") is None:
+        return f"material script {clipped(name, 80)} is not read: its texture and colours are not drawn"
+    image = (material.findtext(".//albedo_map") or "").strip()
+    return f"texture {clipped(image, 120)} of its <pbr> material is not drawn" if image and not textured else ""
+
+
+_MAX_NESTING = 16
+_PLAIN: Rgba = (0.7, 0.7, 0.7, 1.0)
+"""Colour of what is drawn as its collision shapes."""
+_MAX_MODELS = 10_000
+
+
+def read_sdf(builder: SceneBuilder, path: Path) -> Element:
+    """Returns the root of an SDF file.
+
+    Raises:
+        SceneError: it is not there or no XML.
+    """
+    try:
+        return parse_xml(builder.read_bytes(path))
+    except TextError as e:
+        raise SceneError(f"{path}: {e}").telling(e.public) from e
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Included:
+    """What an <include> names."""
+
+    model: Element
+    T_parent_model: F64
+    """(4, 4)."""
+    file: Path
+    name: str
+    """What the <include> calls it, else its own name, else that of its folder."""
+
+
+class SdfModels:
+    """Places models of one scene."""
+
+    def __init__(self, builder: SceneBuilder, uris: UriResolver) -> None:
+        self.builder = builder
+        self.uris = uris
+        self._documents: dict[Path, Element] = {}
+        self._versions: dict[Path, tuple[int, ...]] = {}
+        self._placed = 0
+
+    # Poses
+
+    def pose(self, parent: Element, where: str) -> F64:
+        """Returns the (4, 4) pose that an element's <pose> says, whatever it is relative to; identity if it has none."""
+        element = parent.find("pose")
+        if element is None or not (element.text or "").strip():
+            return np.eye(4)
+        values = numbers(element.text, (3, 6, 7))
+        if values is None:
+            text = " ".join((element.text or "").split())
+            self.builder.warn(f"{where}: <pose> {quoted(text)} is no six numbers; taken as zero", OmissionKind.INVALID)
+            return np.eye(4)
+        xyz: Vec3 = (values[0], values[1], values[2])
+        if len(values) == 7:
+            matrix = np.eye(4)
+            quat = np.array(values[3:])
+            matrix[:3, :3] = matrix_from_quat(quat / np.linalg.norm(quat)) if quat.any() else np.eye(3)
+            matrix[:3, 3] = xyz
+            return matrix
+        roll, pitch, yaw = values[3:] or (0.0, 0.0, 0.0)
+        if element.get("degrees", "false").strip().lower() in ("true", "1"):
+            roll, pitch, yaw = math.radians(roll), math.radians(pitch), math.radians(yaw)
+        return matrix_from_pose(pose_from_xyz_rpy(xyz, (roll, pitch, yaw)))
+
+    def frame(self, model: Element, name: str, where: str, depth: int = 0) -> F64:
+        """Returns T_model_frame of a link, joint, frame or nested model of ``model`` by name."""
+        if name in ("", "__model__", model.get("name")):
+            return np.eye(4)
+        if depth > _MAX_NESTING:
+            self.builder.warn(
+                f"{where}: frame {quoted(name)} is relative to itself; taken as the model's own", OmissionKind.INVALID
+            )
+            return np.eye(4)
+        for child in model:
+            if child.tag in ("link", "frame", "joint", "model", "include") and name_of(child) == name:
+                return self.placed(model, child, where, depth)
+        head, _, rest = name.partition("::")
+        for child in model if rest else ():
+            if child.tag == "model" and name_of(child) == head:
+                return self.placed(model, child, where, depth) @ self.frame(child, rest, where, depth + 1)
+        self.builder.warn(f"{where}: frame {quoted(name)} is unknown; the model's own is used", OmissionKind.INVALID)
+        return np.eye(4)
+
+    def placed(self, model: Element, child: Element, where: str, depth: int = 0) -> F64:
+        """Returns T_model_child of a child element: its pose in the frame that it is relative to (SDF 1.7 and later)."""
+        pose = child.find("pose")
+        reference = "" if pose is None else pose.get("relative_to", "")
+        if not reference and child.tag == "frame":
+            reference = child.get("attached_to", "")
+        if not reference and child.tag == "joint":
+            reference = (child.findtext("child") or "").strip()
+        local = self.pose(child, where)
+        return self.frame(model, reference, where, depth + 1) @ local if reference else local
+
+    # Models
+
+    def document(self, path: Path) -> Element | None:
+        """Returns the <model> of an SDF file, or None after a warning; the file is parsed once."""
+        if path not in self._documents:
+            if not self.builder.admits(path):
+                self.builder.warn(f"{path}: lies outside the scene's folder; left out", OmissionKind.UNSUPPORTED_ASSET)
+                return None
+            root = read_sdf(self.builder, path)
+            model = root.find("model") if root.tag == "sdf" else root if root.tag == "model" else None
+            if model is None:
+                self.builder.warn(f"{path}: holds no <model>; left out", OmissionKind.UNSUPPORTED_ASSET)
+                return None
+            self._documents[path] = model
+            self._versions[path] = sdf_version(root)
+        return self._documents[path]
+
+    def version(self, path: Path) -> tuple[int, ...]:
+        """Returns the version of SDF that a file was written in, which ``document`` has read."""
+        return self._versions[path]
+
+    def included(
+        self, element: Element, base: Path, parent: Element | None = None, files: tuple[Path, ...] = ()
+    ) -> Included | None:
+        """Returns the model that an <include> names, or None after a warning.
+
+        Args:
+            element: the <include>.
+            base: folder of the file that it stands in.
+            parent: the <model> or <world> that it stands in; None = its pose is relative to nothing else.
+            files: the files, resolved, that it stands in, the outermost first.
+        """
+        uri = (element.findtext("uri") or "").strip()
+        try:
+            path = self.find_model(uri, base)
+            model = None if path is None else self.document(path)
+        except SceneError as e:
+            self.builder.warn(f"{e}; left out", OmissionKind.UNSUPPORTED_ASSET)
+            return None
+        if path is None or model is None:
+            return None
+        name = (element.findtext("name") or "").strip() or model.get("name", "") or path.parent.name
+        if Path(os.path.realpath(path)) in files:
+            self.builder.warn(f"model {name}: {path} includes itself; it is left out there", OmissionKind.INVALID)
+            return None
+        if element.find("pose") is None:
+            own = self.pose(model, name)
+        else:
+            own = self.pose(element, name) if parent is None else self.placed(parent, element, name)
+        return Included(model, own, path, name)
+
+    def include(
+        self,
+        element: Element,
+        T_world_parent: F64,
+        top: str,
+        base: Path,
+        depth: int,
+        parent: Element | None = None,
+        files: tuple[Path, ...] = (),
+    ) -> None:
+        """Places the model that an <include> names; the arguments are those of ``model`` and ``included``."""
+        found = self.included(element, base, parent, files)
+        if found is not None:
+            kind = _model_name((element.findtext("uri") or "").strip(), found.model)
+            at = T_world_parent @ found.T_parent_model
+            inner = (*files, Path(os.path.realpath(found.file)))
+            self.model(found.model, at, top or found.name, found.file.parent, depth + 1, kind, inner)
+
+    def find_model(self, uri: str, base: Path) -> Path | None:
+        """Returns the SDF file of a model, or None after a warning."""
+        found = self.uris.find(uri, base) if uri else None
+        if found is None:
+            reason = "is on the network: download it and name the copy" if uri.startswith("http") else "is not there"
+            self.builder.warn(f"model {uri or '(without a uri)'} {reason}; left out", OmissionKind.MISSING_ASSET)
+            return None
+        if is_file(found):
+            return found
+        for candidate in sdf_files(found):
+            if is_file(candidate):
+                return candidate
+        self.builder.warn(f"model {uri}: {found} holds no model.sdf; left out", OmissionKind.MISSING_ASSET)
+        return None
+
+    def model(
+        self,
+        model: Element,
+        T_world_model: F64,
+        top: str,
+        base: Path,
+        depth: int = 0,
+        kind: str = "",
+        files: tuple[Path, ...] = (),
+    ) -> None:
+        """Places a model with everything in it.
+
+        Args:
+            model: the <model>.
+            T_world_model: (4, 4); the model's own <pose> is part of it already.
+            top: name of the outermost model, which names its shapes.
+            base: folder of the file that it stands in.
+            depth: how many models it is nested in.
+            kind: name that its semantic class is made of, empty = the model's own.
+            files: the files, resolved, that it stands in, the outermost first.
+        """
+        where = f"model {top}"
+        self.check_nesting(where, depth)
+        if not np.isfinite(T_world_model).all() or np.abs(T_world_model[:3, 3]).max() > FAR_AWAY:
+            at = ", ".join(f"{c:g}" for c in T_world_model[:3, 3])
+            self.builder.warn(f"{where}: stands at ({at}) m, more than {FAR_AWAY:g} m off; left out", OmissionKind.INVALID)
+            return
+        kind = kind or model.get("name", "")
+        for child in model:
+            if child.tag == "include":
+                self.include(child, T_world_model, top, base, depth, model, files)
+            elif child.tag == "model":
+                self.model(child, T_world_model @ self.placed(model, child, where), top, base, depth + 1, files=files)
+        links = [(link, T_world_model @ self.placed(model, link, where)) for link in model.iterfind("link")]
+        has_collision = any(link.find("collision") is not None for link, _ in links)
+        seen, solid = 0, 0
+        for link, T_world_link in links:
+            visuals = [
+                self._visual(model, element, T_world_model, T_world_link, top, base, class_from_model(kind), not has_collision)
+                for element in link.iterfind("visual")
+            ]
+            seen += sum(visuals)
+            # What was to be drawn is not there: what it bumps into stands for it, lest it be an invisible obstacle.
+            lost = bool(visuals) and not any(visuals)
+            for element in link.iterfind("collision"):
+                for shape, matrix, plane in self.shapes(model, element, T_world_model, T_world_link, top, base):
+                    if plane:
+                        self._ground(matrix, where)
+                        continue
+                    solid += 1
+                    self.builder.add_collision(top, shape, matrix)
+                    if lost:
+                        seen += 1
+                        self.builder.add_visual(top, shape, matrix, _PLAIN, class_from_model(kind))
+                        self.builder.warn(
+                            f"{where}: is drawn as its collision shapes, in plain grey: nothing else of it can be drawn"
+                        )
+        if solid and not seen:
+            self.builder.warn(f"{where}: is solid but invisible: it has collision shapes, and nothing to draw")
+
+    def _visual(
+        self,
+        model: Element,
+        element: Element,
+        T_world_model: F64,
+        T_world_link: F64,
+        top: str,
+        base: Path,
+        kind: str,
+        solid: bool,
+    ) -> bool:
+        """Places a <visual>; returns whether it is drawn, or meant not to be."""
+        color, visible = visual_color(element)
+        geometry = element.find("geometry")
+        used = not visible or geometry is None or geometry.find("empty") is not None
+        for shape, matrix, _ in self.shapes(model, element, T_world_model, T_world_link, top, base):
+            used = True
+            lacks = unread_material(element, self.builder.has_textures(shape)) if visible else ""
+            if lacks:
+                self.builder.warn(f"model {top}: {lacks}", OmissionKind.UNSUPPORTED_ASSET)
+            if visible:
+                self.builder.add_visual(top, shape, matrix, color, kind)
+            if solid:
+                self.builder.add_collision(top, shape, matrix)
+        return used
+
+    def _ground(self, matrix: F64, where: str) -> None:
+        if matrix[2, 2] < 0.999:
+            text = f"{where}: a plane that is not level cannot be a collision shape; left out"
+            self.builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
+            return
+        # The origin of the box lies half its thickness below the plane.
+        height = float(matrix[2, 3]) + PLANE_THICKNESS / 2
+        self.builder.ground_z = height if self.builder.ground_z is None else max(height, self.builder.ground_z)
+
+    def check_nesting(self, where: str, depth: int) -> None:
+        """Counts one more model.
+
+        Raises:
+            SceneError: it is nested too deep, or there are too many.
+        """
+        self._placed += 1
+        if depth > _MAX_NESTING:
+            raise SceneError(f"{where}: models are nested deeper than {_MAX_NESTING}; nest fewer")
+        if self._placed > _MAX_MODELS:
+            raise SceneError(f"{where}: more than {_MAX_MODELS} models; do models include others that include others again?")
+
+    def shapes(
+        self, model: Element, element: Element, T_world_model: F64, T_world_link: F64, top: str, base: Path
+    ) -> Iterator[tuple[Shape, F64, bool]]:
+        """Yields the shape of a <visual> or <collision>, T_world_shape, and whether it is a plane; nothing after a warning."""
+        where = f"model {top}"
+        geometry = element.find("geometry")
+        if geometry is None:
+            return
+        pose = element.find("pose")
+        reference = "" if pose is None else pose.get("relative_to", "")
+        parent = T_world_model @ self.frame(model, reference, where) if reference else T_world_link
+        matrix = parent @ self.pose(element, where)
+        for kind in geometry:
+            size = primitive(kind)
+            if kind.tag == "mesh":
+                yield from ((shape, at, False) for shape, at in self._mesh(kind, matrix, where, base))
+            elif kind.tag == "plane":
+                yield (*plane_box(kind, matrix), True)
+            elif size is not None:
+                yield size, matrix, False
+            elif kind.tag in PRIMITIVES:
+                sizes = " ".join((kind.findtext(tag) or "").strip() or "nothing" for tag in PRIMITIVES[kind.tag])
+                text = f"{where}: <{kind.tag}> has size {sizes}, must be finite numbers above 0; left out"
+                self.builder.warn(text, OmissionKind.INVALID)
+            elif kind.tag != "empty":
+                text = f"{where}: geometry <{kind.tag}> is not supported; left out"
+                self.builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
+
+    def _mesh(self, element: Element, matrix: F64, where: str, base: Path) -> Iterator[tuple[Shape, F64]]:
+        uri = (element.findtext("uri") or element.findtext("filename") or "").strip()
+        path = self.uris.find(uri, base) if uri else None
+        if path is None:
+            text = f"{where}: mesh {uri or '(without a uri)'} is not there; left out"
+            self.builder.warn(text, OmissionKind.MISSING_ASSET)
+            return
+        given = element.findtext("scale") or "1 1 1"
+        scale = numbers(given, (3,)) or [0.0]
+        if not all(scale):
+            text = f"{where}: scale of {path.name} is {given.strip()}, must be three finite numbers, none of them 0; left out"
+            self.builder.warn(text, OmissionKind.INVALID)
+            return
+        if element.find("submesh") is not None:
+            text = f"{where}: <submesh> of {path.name} is not supported; the whole mesh is used"
+            self.builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
+        try:
+            # Gazebo takes the axes of a DAE as they are, whatever its up_axis says, and worlds are built that way.
+            up_axis: UpAxis | None = "z" if path.suffix.lower() == ".dae" else None
+            yield self.builder.mesh_shape(path, matrix, (scale[0], scale[1], scale[2]), up_axis)
+        except MeshError as e:
+            self.builder.warn(f"{where}: {e}; left out", OmissionKind.UNSUPPORTED_ASSET)
+
+    def weld(self, model: Element, T_world_child: F64, child: str, where: str) -> F64:
+        """Returns T_world_model such that the frame ``child`` of the model comes to lie at T_world_child."""
+        return T_world_child @ invert(self.frame(model, child, where))
+
+
+def sdf_version(root: Element) -> tuple[int, ...]:
+    """Returns the version of an <sdf> element, such as (1, 7)."""
+    return tuple(int(part) for part in root.get("version", "").split(".") if part.isdecimal())
+
+
+def name_of(element: Element) -> str:
+    """Returns the name of an element: its attribute, or the <name> of an <include>."""
+    return element.get("name", "") or (element.findtext("name") or "").strip()
+
+
+def _model_name(uri: str, model: Element) -> str:
+    parts = [p for p in uri.partition("://")[2].split("/") if p and p != "models"]
+    return parts[0] if parts and uri.startswith(("model://", "file://")) else model.get("name", "")
+
+
+def sdf_files(folder: Path) -> list[Path]:
+    """Returns the SDF files that a model folder may mean, the newest version first (model.config), then model.sdf."""
+    named: list[tuple[tuple[float, ...], Path]] = []
+    config = folder / "model.config"
+    try:
+        for element in parse_xml(read_file(config)).iterfind("sdf") if is_file(config) else ():
+            version = tuple(float(v) for v in element.get("version", "0").split(".") if v.isdigit())
+            named.append((version, folder / (element.text or "").strip()))
+    except (OSError, TextError):
+        # Without a readable model.config the usual name is tried.
+        named = []
+    return [path for _, path in sorted(named, reverse=True)] + [folder / "model.sdf"]

@@ -1,0 +1,145 @@
+"""Reads SDF worlds as Gazebo writes them: models, includes, gravity and a rough idea of the light."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+
+from gibson_sim.description.omissions import OmissionKind
+from gibson_sim.errors import SceneError
+from gibson_sim.formats.uris import UriResolver
+from gibson_sim.quoting import quoted
+from gibson_sim.scenes.builder import SceneBuilder
+from gibson_sim.scenes.sdf.model import SdfModels, numbers, read_sdf
+from gibson_sim.scenes.spec import LightSpec, PointLight
+from gibson_sim.types import Vec3
+
+Element = ElementTree.Element
+_SUN = 0.7
+"""Diffuse white of a directional light as strength of ours: Gazebo adds ambient and specular light on top."""
+_LAMP = 0.25
+"""The same for lamps: without shadows each of them also lights the rooms beyond its own."""
+
+
+def read_sdf_world(builder: SceneBuilder, path: Path) -> None:
+    """Puts everything of a world file into the builder.
+
+    Raises:
+        SceneError: the file is no SDF world.
+    """
+    place_world(builder, read_sdf(builder, path), path)
+
+
+def place_world(builder: SceneBuilder, root: Element, path: Path) -> None:
+    """Puts everything of a parsed world into the builder.
+
+    Args:
+        builder: gets it.
+        root: the outermost element.
+        path: the file, for messages and relative names; need not exist.
+
+    Raises:
+        SceneError: it is no SDF world.
+    """
+    world = root.find("world") if root.tag in ("sdf", "gazebo") else None
+    if world is None:
+        raise SceneError(f"{path}: holds no <world>; name a world file or a mesh")
+    if len(root.findall("world")) > 1:
+        text = f"{path}: holds several worlds; the first, {quoted(world.get('name', ''))}, is used"
+        builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
+    gravity = numbers(world.findtext("gravity"), (3,)) or numbers(world.findtext("physics/gravity"), (3,))
+    if gravity is not None:
+        builder.gravity = (gravity[0], gravity[1], gravity[2])
+    models = SdfModels(builder, UriResolver(builder.root, path.parent))
+    builder.light = _light(world, models, builder.sdf_lamps)
+    for child in world:
+        if child.tag == "model":
+            name = child.get("name", "model")
+            models.model(child, models.placed(world, child, f"model {name}"), name, path.parent)
+        elif child.tag == "include":
+            _include(builder, models, world, child, path.parent)
+        elif child.tag in ("actor", "population", "road"):
+            text = f"<{child.tag}> {quoted(child.get('name', ''))} is not supported; left out"
+            builder.warn(text, OmissionKind.UNSUPPORTED_ELEMENT)
+
+
+def _include(builder: SceneBuilder, models: SdfModels, world: Element, element: Element, base: Path) -> None:
+    """Places an include of the world; Gazebo's own sun and ground plane need no files."""
+    uri = (element.findtext("uri") or "").strip().rstrip("/")
+    known = uri.rpartition("/")[2].lower().replace("_", " ")
+    if known == "sun" and models.uris.find(uri, base) is None:
+        return
+    if known == "ground plane" and models.uris.find(uri, base) is None:
+        height = float(models.placed(world, element, "ground_plane")[2, 3])
+        builder.ground_z = height if builder.ground_z is None else max(height, builder.ground_z)
+        return
+    models.include(element, np.eye(4), (element.findtext("name") or "").strip(), base, 0, world)
+
+
+def _light(world: Element, models: SdfModels, with_lamps: bool) -> LightSpec:
+    """Returns the first directional light, the lamps, the ambient light and the background of a world."""
+    default = LightSpec()
+    ambient_rgb = numbers(world.findtext("scene/ambient"), (3, 4))
+    ambient = default.ambient if ambient_rgb is None else float(np.clip(np.mean(ambient_rgb[:3]), 0.0, 1.0))
+    lights = [light for light in world.iterfind("light") if (light.findtext("diffuse") or "").strip()]
+    lamps: tuple[PointLight, ...] = ()
+    if with_lamps:
+        lamps = tuple(filter(None, (_lamp(models, world, light) for light in lights if light.get("type") in ("point", "spot"))))
+    elif any(light.get("type") != "directional" for light in lights):
+        # Lamps throw no shadows here: each would light the whole house through its walls.
+        ambient = max(ambient, default.ambient)
+    # A scene lit by nothing would be a black image.
+    ambient = max(ambient, 0.2)
+    sun = next((light for light in lights if light.get("type") == "directional"), None)
+    direction, strength, color = default.sun_direction, 0.0 if lamps else default.sun, default.sun_color
+    if sun is not None:
+        values = numbers(sun.findtext("direction"), (3,))
+        if values is not None and any(values):
+            direction = (values[0], values[1], values[2])
+        color, diffuse = _color_and_strength(sun)
+        strength = _SUN * diffuse
+    rgb = numbers(world.findtext("scene/background"), (3, 4))
+    background: Vec3 = default.background
+    if rgb is not None:
+        r, g, b = (min(max(c, 0.0), 1.0) for c in rgb[:3])
+        background = (r, g, b)
+    return LightSpec(direction, strength, ambient, background, color, points=lamps)
+
+
+def _color_and_strength(light: Element) -> tuple[Vec3, float]:
+    """Returns the colour of a light, its brightest channel at 1, and its strength, 0 to 1."""
+    rgb = [min(max(c, 0.0), 1.0) for c in (numbers(light.findtext("diffuse"), (3, 4)) or [0.8, 0.8, 0.8])[:3]]
+    top = max(rgb)
+    mean = sum(rgb) / 3.0
+    return ((rgb[0] / top, rgb[1] / top, rgb[2] / top), mean) if top > 0.0 else ((1.0, 1.0, 1.0), 0.0)
+
+
+def _lamp(models: SdfModels, world: Element, light: Element) -> PointLight | None:
+    """Returns a point or spot light; None if it is off, or if a number cannot be read."""
+    color, strength = _color_and_strength(light)
+    parts = [numbers(light.findtext(f"attenuation/{part}"), (1,)) for part in ("constant", "linear", "quadratic")]
+    a, b, c = (max(part[0], 0.0) if part else 0.0 for part in parts)
+    if strength <= 0.0 or not (a or b or c or not any(parts)):
+        return None
+    matrix = models.placed(world, light, f"light {light.get('name', '')}")
+    reach = numbers(light.findtext("attenuation/range"), (1,))
+    spot: dict[str, Any] = {}
+    if light.get("type") == "spot":
+        along = matrix[:3, :3] @ (numbers(light.findtext("direction"), (3,)) or [0.0, 0.0, -1.0])
+        # Full angles of the two cones.
+        inner, outer = (numbers(light.findtext(f"spot/{name}_angle"), (1,)) for name in ("inner", "outer"))
+        half = min(max(outer[0] / 2.0, 0.01), math.pi) if outer else math.pi
+        spot = {"direction": tuple(map(float, along)), "outer_angle": half}
+        spot["inner_angle"] = min(max(inner[0] / 2.0, 0.0), half) if inner else half
+    return PointLight(
+        position=(float(matrix[0, 3]), float(matrix[1, 3]), float(matrix[2, 3])),
+        color=color,
+        strength=_LAMP * strength,
+        range=max(reach[0], 0.0) if reach else 10.0,
+        attenuation=(a, b, c) if a or b or c else (1.0, 0.0, 0.0),
+        **spot,
+    )

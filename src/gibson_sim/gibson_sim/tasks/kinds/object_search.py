@@ -1,0 +1,176 @@
+"""Find a thing of a class: be near it and have it in view."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import SceneError
+from gibson_sim.maps.paths import PathPlanner
+from gibson_sim.tasks.episode import Action, Episode, Goal, Item, View, item_body, item_root
+from gibson_sim.tasks.ground import Ground
+from gibson_sim.tasks.placing import TRIES, free_place, no_room, on_floor
+from gibson_sim.tasks.scripts.driving import Driver, pose_xy, turn_towards
+from gibson_sim.tasks.task import Policy, Task, generator
+from gibson_sim.types import Pose
+
+NEAR = 1.0
+"""Metres: the thing must be at least so near."""
+MODELS = (
+    "ball", "basket", "bin_waste", "bottle_wine", "box_cardboard", "chair_wooden", "stool", "teapot", "toy_ball", "vase", "book_stack",
+    "table_side",
+)  # fmt: skip
+DISTRACTORS = 5
+"""Things of other classes."""
+HIDDEN = 2.0
+"""Metres of way from the start to the thing, at least."""
+_SPACE = 0.35
+"""Metres from a thing's middle to walls and furniture."""
+
+
+class ObjectSearch(Task):
+    """Things of several classes lie about; one of them has the class that is asked for. Nobody says where it is."""
+
+    name = "object-search"
+    environment = "ObjectSearch"
+    about = "find a thing of a class: be within 1 m of it, with it in view"
+
+    def generate(self, seed: int, ground: Ground) -> Episode:
+        """Returns the episode of a seed; see ``Task.generate``."""
+        rng = generator(self, seed)
+        start = free_place(ground, rng)
+        away = ground.planner.distances(pose_xy(start))
+        models = _distinct_classes(rng)
+        for _ in range(TRIES):
+            items = _spread(ground, rng, models, np.asarray(np.isfinite(away)))
+            if len(items) < len(models):
+                continue
+            target = items[0]
+            xy = pose_xy(target.pose)
+            row, column = ground.floor.cells(xy)
+            way = float(away[row, column])
+            if way >= HIDDEN and math.isfinite(way) and not ground.sees(start, [xy])[0]:
+                name = item_body(target).semantic_class
+                article = "an" if name[0] in "aeiou" else "a"
+                goal = Goal(f"Find {article} {name.replace('_', ' ')}.", None, NEAR, target.name, name)
+                return Episode(self.name, seed, start, items, goal, way - NEAR, time_limit=180.0)
+        raise no_room(self.name, ground, "nothing can be hidden in it")
+
+    def remaining(self, episode: Episode, view: View, ground: Ground) -> float:
+        """Returns the straight distance to the thing, metres."""
+        return view.distance_to(_target(episode, view))
+
+    def succeeded(self, episode: Episode, view: View, ground: Ground) -> bool:
+        """Returns whether the thing is near and in view."""
+        return bool(ground.sees(view.base, [_target(episode, view)], NEAR)[0])
+
+    def scripted(self, episode: Episode, ground: Ground) -> Policy:
+        """Returns who looks at the nearest floor that it has not seen, until it sees the thing, and goes there."""
+        return _Searcher(episode, ground)
+
+
+def _target(episode: Episode, view: View) -> tuple[float, float]:
+    item = next(item for item in episode.items if item.name == episode.goal.target)
+    return pose_xy(view.links[item_root(item)])
+
+
+def _distinct_classes(rng: np.random.Generator) -> list[str]:
+    """Returns objects of different classes, in any order."""
+    chosen: dict[str, str] = {}
+    for number in rng.permutation(len(MODELS)):
+        model = MODELS[int(number)]
+        chosen.setdefault(item_body(Item("any", model, Pose())).semantic_class, model)
+    return list(chosen.values())[: DISTRACTORS + 1]
+
+
+def _spread(ground: Ground, rng: np.random.Generator, models: list[str], region: NDArray[np.bool_]) -> tuple[Item, ...]:
+    """Returns things on free floor from which one can go on, none beside another."""
+    cells = np.argwhere(region & (ground.floor.distance_to_obstacle >= max(_SPACE, ground.reach)))
+    items: list[Item] = []
+    for number in rng.permutation(len(cells))[: 20 * len(models)]:
+        if len(items) == len(models):
+            break
+        x, y = ground.floor.centers(cells[number]).tolist()
+        if any(math.dist((x, y), pose_xy(other.pose)) < 2.0 * _SPACE for other in items):
+            continue
+        pose = on_floor(ground, x, y, float(rng.uniform(-math.pi, math.pi)))
+        items.append(Item(f"thing_{len(items) + 1}", models[len(items)], pose))
+    return tuple(items)
+
+
+class _Searcher:
+    """Goes where unseen floor is near, turns round there, and so on; knows where a thing is once it was in view."""
+
+    COARSE_M = 0.25
+    """Between the points of the floor that are ticked off."""
+    SPIN_S = 2.0 * math.pi / 1.0
+    """A whole turn, seconds, at 1 rad/s."""
+
+    def __init__(self, episode: Episode, ground: Ground) -> None:
+        self._episode, self._ground = episode, ground
+        floor = ground.floor
+        step = max(1, round(self.COARSE_M / floor.resolution))
+        grid = np.zeros(floor.shape, dtype=bool)
+        grid[step // 2 :: step, step // 2 :: step] = True
+        self._points = floor.centers(np.argwhere(grid & floor.free & floor.largest_free_region(0.0)))
+        self._unseen = np.ones(len(self._points), dtype=bool)
+        self._driver: Driver | None = None
+        self._spin_until = self.SPIN_S
+        self._found: tuple[float, float] | None = None
+
+    def act(self, view: View) -> Action:
+        """Returns what to do next."""
+        self._look(view)
+        if self._found is not None:
+            return self._approach(view, self._found)
+        if view.time < self._spin_until:
+            return Action(angular=1.0)
+        if self._driver is None:
+            self._driver = self._next(view)
+            if self._driver is None:
+                return Action(angular=1.0)
+        if self._driver.done(view) or self._driver.blocked:
+            self._driver, self._spin_until = None, view.time + self.SPIN_S
+        return self._driver.act(view) if self._driver else Action(angular=1.0)
+
+    def _look(self, view: View) -> None:
+        """Ticks off what is in view, and remembers where the thing is."""
+        target = _target(self._episode, view)
+        if self._ground.sees(view.base, [target])[0]:
+            if self._found is None:
+                self._driver = None
+            self._found = target
+        unseen = np.flatnonzero(self._unseen)
+        self._unseen[unseen[self._ground.sees(view.base, self._points[unseen])]] = False
+
+    def _next(self, view: View) -> Driver | None:
+        """Returns the way to the nearest place with much unseen floor about it; None = all is seen."""
+        if not self._unseen.any():
+            self._unseen[:] = True
+        planner: PathPlanner = self._ground.planner
+        try:
+            distances = planner.distances(view.xy)
+        except SceneError:
+            return None
+        cells = self._ground.floor.cells(self._points[self._unseen])
+        away = distances[cells[:, 0], cells[:, 1]]
+        away[away < 0.5] = np.inf
+        if not np.isfinite(away).any():
+            self._unseen[:] = False
+            return None
+        x, y = self._points[self._unseen][int(away.argmin())].tolist()
+        return Driver(self._ground, (x, y), self._episode.items, near=0.3)
+
+    def _approach(self, view: View, target: tuple[float, float]) -> Action:
+        """Drives to the thing, and turns to it where it is near."""
+        if view.distance_to(target) < NEAR - 0.1:
+            x, y = view.xy
+            return Action(angular=turn_towards(view, math.atan2(target[1] - y, target[0] - x)))
+        if self._driver is None:
+            self._driver = Driver(self._ground, target, self._others(), near=NEAR - 0.15)
+        return self._driver.act(view)
+
+    def _others(self) -> tuple[Item, ...]:
+        return tuple(item for item in self._episode.items if item.name != self._episode.goal.target)

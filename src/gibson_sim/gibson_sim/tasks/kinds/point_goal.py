@@ -1,0 +1,53 @@
+"""Go to a place while things lie in the way that can be pushed."""
+
+from __future__ import annotations
+
+from gibson_sim.errors import SceneError
+from gibson_sim.maps.paths import path_length
+from gibson_sim.tasks.episode import Episode, Goal
+from gibson_sim.tasks.ground import Ground
+from gibson_sim.tasks.placing import at_distance, clutter, free_place
+from gibson_sim.tasks.scripts.driving import Driver, pose_xy
+from gibson_sim.tasks.task import Policy, Task, generator
+
+MODELS = ("box_small", "box_cardboard", "basket", "bin_waste", "ball", "toy_ball", "book_stack", "stool")
+"""What lies about."""
+THINGS = 8
+DISTANCE = (2.5, 10.0)
+"""Metres from start to goal, along the way."""
+RADIUS = 0.30
+"""Metres: so near to the goal is there."""
+
+
+class PointGoal(Task):
+    """The way is planned without the things that lie on it; shortest is the way without them."""
+
+    name = "point-goal"
+    environment = "PointGoal"
+    about = "go to a place; loose things lie in the way"
+
+    def generate(self, seed: int, ground: Ground) -> Episode:
+        """Returns the episode of a seed; see ``Task.generate``."""
+        rng = generator(self, seed)
+        start = free_place(ground, rng)
+        try:
+            goal, _ = at_distance(ground, rng, start, *DISTANCE)
+        except SceneError:
+            goal, _ = at_distance(ground, rng, start, 1.0, DISTANCE[1])
+        way = ground.planner.path(pose_xy(start), pose_xy(goal))
+        clear = ((pose_xy(start), ground.reach + 0.15), (pose_xy(goal), ground.reach + 0.05))
+        items = clutter(ground, rng, way, MODELS, THINGS, keep_clear=clear)
+        return Episode(
+            task=self.name,
+            seed=seed,
+            start=start,
+            items=items,
+            goal=Goal(f"Go to x = {goal.position[0]:.2f} m, y = {goal.position[1]:.2f} m.", goal.position, RADIUS),
+            shortest=max(path_length(way) - RADIUS, 0.1),
+            time_limit=90.0,
+        )
+
+    def scripted(self, episode: Episode, ground: Ground) -> Policy:
+        """Returns who goes round things where there is a way, and else through them."""
+        assert episode.goal.position is not None
+        return Driver(ground, episode.goal.position[:2], episode.items, near=RADIUS)

@@ -1,0 +1,127 @@
+"""Get through a doorway that boxes block: there is no way round them."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from gibson_sim.errors import SceneError
+from gibson_sim.maps.paths import path_length
+from gibson_sim.maps.rooms import Door
+from gibson_sim.tasks.episode import Episode, Goal, Item
+from gibson_sim.tasks.ground import Ground, footprint
+from gibson_sim.tasks.placing import TRIES, free_place, no_room, on_floor
+from gibson_sim.tasks.scripts.driving import Driver, pose_xy
+from gibson_sim.tasks.task import BASELINES, Policy, Task, generator
+from gibson_sim.types import Pose
+
+RADIUS = 0.30
+"""Metres: so near to the goal is there."""
+MODELS = ("box_cardboard", "basket", "bin_waste", "box_small")
+"""What stands in doorways."""
+AWAY = (1.0, 3.0)
+"""Metres of start and goal from the doorway."""
+_BEYOND = 0.6
+"""Metres from the wall's middle to start and goal, at least."""
+_GAP = 0.015
+"""Metres between boxes, and beside them."""
+_TIGHT = 0.06
+"""Metres that are missing for the robot to pass."""
+_UNEVEN, _CROOKED = 0.04, 0.05
+"""Metres along the way, and radians, by which boxes stand out of line."""
+
+
+class PushThrough(Task):
+    """Start and goal lie on both sides of a doorway, and while the boxes stand there no way leads from one to the other."""
+
+    name = "push-through"
+    environment = "PushThrough"
+    about = "get through a doorway that boxes block"
+    baselines = (*BASELINES, "careful")
+
+    def generate(self, seed: int, ground: Ground) -> Episode:
+        """Returns the episode of a seed; see ``Task.generate``."""
+        rng = generator(self, seed)
+        for _ in range(TRIES):
+            if not ground.doors:
+                break
+            door = ground.doors[int(rng.integers(len(ground.doors)))]
+            try:
+                start, goal = _both_sides(ground, rng, door)
+                items = _blockade(ground, rng, door)
+                if _open(ground, start, goal, items):
+                    continue
+                way = ground.planner.path(pose_xy(start), pose_xy(goal))
+            except SceneError:
+                continue
+            if path_length(way) > 2.0 * sum(AWAY):
+                continue
+            text = f"Go through the doorway to x = {goal.position[0]:.2f} m, y = {goal.position[1]:.2f} m."
+            shortest = max(path_length(way) - RADIUS, 0.1)
+            return Episode(self.name, seed, start, items, Goal(text, goal.position, RADIUS), shortest, time_limit=90.0)
+        raise no_room(self.name, ground, "no doorway of it can be blocked so that there is no way round")
+
+    def scripted(self, episode: Episode, ground: Ground) -> Policy:
+        """Returns who drives as if the boxes were not there, and backs off where that does not work."""
+        assert episode.goal.position is not None
+        return Driver(ground, episode.goal.position[:2], episode.items, around=False, near=RADIUS)
+
+    def policy(self, baseline: str, episode: Episode, ground: Ground) -> Policy:
+        """Returns who does an episode; ``careful`` goes round things and never pushes, which shows that the task is one."""
+        if baseline == "careful":
+            assert episode.goal.position is not None
+            return Driver(ground, episode.goal.position[:2], episode.items, pushes=False, near=RADIUS)
+        return super().policy(baseline, episode, ground)
+
+
+def _both_sides(ground: Ground, rng: np.random.Generator, door: Door) -> tuple[Pose, Pose]:
+    """Returns a start on one side of a door and a goal on the other, both near it, T_world_base."""
+    distances = ground.planner.distances(door.center)
+    rows, columns = ground.floor.shape
+    centers = ground.floor.centers(np.indices((rows, columns)).transpose(1, 2, 0))
+    yaw = _squared(door.yaw)
+    side = (centers - door.center) @ np.array([math.cos(yaw), math.sin(yaw)])
+    near = (distances >= AWAY[0]) & (distances <= AWAY[1])
+    first, second = (np.asarray(near & (sign * side > _BEYOND)) for sign in rng.permutation([-1.0, 1.0]))
+    return free_place(ground, rng, first), free_place(ground, rng, second)
+
+
+def _blockade(ground: Ground, rng: np.random.Generator, door: Door) -> tuple[Item, ...]:
+    """Returns a row of boxes in a doorway, from one side to the other; none where no boxes fit."""
+    along = np.array([math.cos(_squared(door.yaw)), math.sin(_squared(door.yaw))])
+    across = np.array([-along[1], along[0]])
+    row: list[tuple[str, float, float]] = []
+    left = door.width - 2.0 * _GAP
+    while left > 2.0 * ground.robot.radius - _TIGHT:
+        fitting = [one for one in _widths() if one[2] <= left]
+        if not fitting:
+            return ()
+        row.append(fitting[int(rng.integers(len(fitting)))])
+        left -= row[-1][2] + _GAP
+    at = -(sum(width for _, _, width in row) + _GAP * (len(row) - 1)) / 2.0
+    items = []
+    for number, (model, turn, width) in enumerate(row, 1):
+        x, y = door.center + across * (at + width / 2.0) + along * rng.uniform(-_UNEVEN, _UNEVEN)
+        yaw = _squared(door.yaw) + turn + rng.uniform(-_CROOKED, _CROOKED)
+        items.append(Item(f"box_{number}", model, on_floor(ground, float(x), float(y), float(yaw))))
+        at += width + _GAP
+    return tuple(items)
+
+
+def _open(ground: Ground, start: Pose, goal: Pose, items: tuple[Item, ...]) -> bool:
+    """Returns whether a way leads round the boxes."""
+    return not items or ground.connected(pose_xy(start), pose_xy(goal), [footprint(item.model, item.pose) for item in items])
+
+
+def _squared(yaw: float) -> float:
+    """Returns the nearest quarter turn: walls stand along the axes, and a door's way is only roughly known."""
+    return round(yaw / (math.pi / 2.0)) * math.pi / 2.0
+
+
+@lru_cache(maxsize=1)
+def _widths() -> tuple[tuple[str, float, float], ...]:
+    """Returns objects, how they are turned (radians) and how wide they then are across the way, metres."""
+    sizes = {model: np.ptp(footprint(model, Pose()), axis=0).tolist() for model in MODELS}
+    return tuple((model, turn, sizes[model][axis]) for model in MODELS for turn, axis in ((0.0, 1), (math.pi / 2.0, 0)))

@@ -1,0 +1,194 @@
+"""``gibson-sim bench lockstep``: ticks a second in processes that wait for each other, against one process."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from gibson_sim.cli.environment import domain_of, node_environment, require_nodes
+from gibson_sim.cli.quiet import quiet
+from gibson_sim.cli.report_file import add_report_options, tell, write_json
+from gibson_sim.cli.shared_memory import remove_dead_segments
+from gibson_sim_bench import timing
+from gibson_sim_bench.cli.processes import CAMERA, BenchError, conversation, process, role
+from gibson_sim_bench.lockstep import (
+    ONE_PROCESS,
+    PIPELINED,
+    WAYS,
+    Alone,
+    Case,
+    LockstepPlan,
+    LockstepReport,
+    Turns,
+    case_of,
+    in_turns,
+    rate_of,
+    targets,
+)
+from gibson_sim_bench.protocol import STEP_HZ, SUBSTEPS, write_changed_robot
+from gibson_sim_bench.reports.render import table
+from gibson_sim_bench.ros import Size, Spread
+
+_COLUMNS = (
+    "no ROS: physics and drawing, one after the other. One process: both nodes in one process and thread, a controller in another that\n"
+    "answers each tick and takes the images. Lockstep: each node in its own. Split: lockstep against one process; ROS: against none."
+)
+_DOMAINS = 233
+"""ROS has as many."""
+START_S = 90.0
+"""Within so long a simulation has loaded its scene."""
+_SMALLEST = Size(16, 16)
+"""Of a camera that nobody listens to."""
+
+
+def add_parser(kinds: Any) -> None:
+    """Adds the sub-command."""
+    parser = kinds.add_parser(
+        "lockstep",
+        help="ticks a second in lockstep, without and with images, and what the processes add to one process",
+        description="Ticks with a controller that answers each, and with an image at each. Nothing else should run meanwhile.",
+    )
+    parser.add_argument("--quick", action="store_true", help="fewer ticks")
+    parser.add_argument("--scene", help="scene (default: flat)")
+    parser.add_argument("--substeps", type=int, choices=SUBSTEPS, help="physics steps of 1/240 s a tick (default: 1)")
+    add_report_options(parser)
+    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Prints the table, and writes the JSON file if one is named."""
+    require_nodes()
+    plan = LockstepPlan.quick() if args.quick else LockstepPlan()
+    if args.scene:
+        plan = replace(plan, scene=args.scene)
+    if args.substeps:
+        plan = replace(plan, substeps=args.substeps)
+    report = measure(plan, domain_id=args.domain_id, tell=tell)
+    print(report_text(report, markdown=args.markdown))
+    write_json(args.json, report.as_json())
+    return 0
+
+
+@quiet()
+def measure(
+    plan: LockstepPlan, *, domain_id: int | None = None, tell: Callable[[str], None] = lambda line: None
+) -> LockstepReport:
+    """Returns what was measured; a case that fails is left out, and the report says why.
+
+    Args:
+        plan: what to measure.
+        domain_id: ROS domain; None = as the environment says.
+        tell: is told in one line what is going on.
+    """
+    began = timing.now(), timing.version(), timing.machine(), timing.cores(), timing.load()
+    report = LockstepReport(*began, plan.scene, substeps=plan.substeps)
+    cases: list[Case] = []
+    left_out: list[str] = []
+    for size in (None, *plan.sizes):
+        name = f"{size} RGB + depth at every tick" if size else "no images"
+        with tempfile.TemporaryDirectory(prefix="gibson-sim-bench-") as folder:
+            pixels = size or _SMALLEST
+            robot = write_changed_robot(Path(folder), (pixels.width, pixels.height), lidar=False)
+            try:
+                tell(f"{name}: all ways in turns")
+                cases.append(case_of(size, _turns(plan, domain_id, robot, size)))
+            except BenchError as error:
+                left_out.append(f"{name}: {error}")
+    remove_dead_segments()
+    return replace(report, cases=tuple(cases), left_out=tuple(left_out))
+
+
+def _turns(plan: LockstepPlan, domain_id: int | None, robot: Path, size: Size | None) -> Turns:
+    """Returns the ticks of all ways, each of those with ROS in a domain of its own."""
+    hz = STEP_HZ // plan.substeps
+    settings: dict[str, Any] = {
+        "scene": plan.scene,
+        "robot": str(robot),
+        "lockstep": True,
+        "participants": "bench_controller",
+        "rate": 0.0,
+    }
+    settings |= {"step_hz": STEP_HZ, "publish_hz": hz, "clock_hz": hz}
+    settings |= {"camera_rate": float(hz), "camera_outputs": "rgb,depth"} if size else {}
+    topics = [f"{CAMERA}/image_raw", f"{CAMERA}/depth/image_raw"] if size else []
+    first = domain_of(node_environment(domain_id=domain_id))
+    ways: dict[str, Callable[[int], Sequence[int]]] = {}
+    with ExitStack() as stack:
+        alone = stack.enter_context(Alone(plan.scene, robot, size, plan.substeps))
+        for number, way in enumerate(WAYS):
+            if way == ONE_PROCESS and not size:
+                continue  # one node, as in lockstep
+            environment = node_environment(domain_id=(first + number) % _DOMAINS)
+            if way == ONE_PROCESS:
+                both = {**settings, "participants": "render;bench_controller"}
+                stack.enter_context(role(environment, ONE_PROCESS, physics=both, render={}))
+            else:
+                stack.enter_context(process(_command(settings, bool(size), way == PIPELINED), environment))
+            ask = stack.enter_context(conversation(environment, "controller", START_S, cases=[topics], substeps=plan.substeps))
+            ways[way] = partial(_make_ticks, ask)
+        return in_turns(alone, ways, plan.image_ticks if size else plan.ticks)
+
+
+def _command(settings: Mapping[str, Any], draws: bool, pipelined: bool) -> list[str]:
+    """Returns what starts a simulation with the settings of its physics node."""
+    command = [sys.executable, "-m", "gibson_sim.cli.main", "run"]
+    for name, value in {**settings, "rate": "max", "pipelined": pipelined}.items():
+        option = f"--{name.replace('_', '-')}"
+        command += [option] * value if isinstance(value, bool) else [option, str(value)]
+    return command if draws else [*command, "--no-render"]
+
+
+def _make_ticks(ask: Callable[[Mapping[str, Any]], dict[str, Any]], count: int) -> Sequence[int]:
+    found: list[int] = ask({"case": 0, "ticks": count})["tick_ns"]
+    return found
+
+
+def report_text(report: LockstepReport, *, markdown: bool = False) -> str:
+    """Returns the whole report, plain for the terminal or as Markdown."""
+    lines = [
+        f"{report.machine}; {report.cores} cores usable, load {report.load:g}; Gibson Sim {report.version}; {report.date[:10]}.",
+        f"Scene {report.scene}, {STEP_HZ} Hz, physics steps a tick: {report.substeps}; milliseconds a tick, medians; all ways in turns.",
+        *(f"Left out: {line}" for line in report.left_out),
+    ]
+    parts = ["\n".join(f"- {line}" if markdown else line for line in lines)]
+    if report.cases:
+        head = (
+            *("images", "physics", "draw", "no ROS", "one process"),
+            *("lockstep", "ticks/s", "split adds", "ROS adds", "pipelined", "ticks/s", "split adds"),
+        )
+        rows = [
+            (
+                f"{case.size} RGB + depth" if case.size else "none",
+                *(_median(part) for part in (case.physics, case.draw, case.without_ros, case.one_process)),
+                *_way(case.lockstep, case.split[0]),
+                _percent(case.ros),
+                *_way(case.pipelined, case.split[1]),
+            )
+            for case in report.cases
+        ]
+        parts.append(table(head, rows, markdown, left=(0,)))
+        parts.append(_COLUMNS)
+        reached = [(t.what, t.wanted, t.measured, "met" if t.met else "MISSED") for t in targets(report.cases, report.substeps)]
+        if reached:
+            parts += ["Targets for two cores:", table(("what", "wanted", "measured", ""), reached, markdown, left=(0, 1, 3))]
+    return "\n\n".join(parts)
+
+
+def _way(ticks: Spread, added: float) -> tuple[str, str, str]:
+    return _median(ticks), f"{rate_of(ticks):,.0f}", _percent(added)
+
+
+def _percent(part: float) -> str:
+    return "-" if part != part else f"{100 * part:.0f} %"
+
+
+def _median(part: Spread) -> str:
+    return "-" if part.median != part.median else f"{part.median:.2f}"

@@ -1,0 +1,68 @@
+"""``gibson-sim bench peers``: our renderer and those of others in turns, on the same mesh and along the same way."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from gibson_sim.cli.report_file import add_report_options, parse_size, tell, write_json
+from gibson_sim_bench.protocol import HOUSES
+
+
+def add_parser(kinds: Any) -> None:
+    """Adds the sub-command."""
+    parser = kinds.add_parser(
+        "peers",
+        help="our renderer in turns with MuJoCo, pyrender, PyBullet and iGibson, those that are installed",
+        description="Each of them is optional, and named as absent otherwise: pip install mujoco pyrender pybullet, in any Python.",
+    )
+    parser.add_argument(
+        "--house", action="append", default=[], metavar="X", help="scene of one mesh with one texture, instead of ours"
+    )
+    parser.add_argument(
+        "--peer-python",
+        action="append",
+        default=[],
+        metavar="PATH",
+        help="interpreter that has peers; may be given again (default: this one)",
+    )
+    parser.add_argument("--sizes", default="256x256,640x480", metavar="WxH", help="of images, pixels (default: 256x256,640x480)")
+    parser.add_argument("--frames", type=int, default=36, help="images of each case (default: 36)")
+    parser.add_argument("--quick", action="store_true", help="12 images of each case, one house")
+    parser.add_argument("--pictures", type=Path, metavar="DIR", help="write the first image of every contestant there")
+    add_report_options(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Prints a table, and writes the JSON file if one is named."""
+    from gibson_sim_bench.render import ABSENT, measure
+    from gibson_sim_bench.reports.render import report_text
+
+    report = measure(plan_of(args), tell=tell)
+    print(report_text(report, markdown=args.markdown))
+    print("".join(f"\nNot here: {name}: {why}." for name, why in ABSENT))
+    write_json(args.json, {**report.as_json(), "kind": "peers", "absent": dict(ABSENT)})
+    return 0
+
+
+def plan_of(args: argparse.Namespace) -> Any:
+    """Returns the ``Plan`` that the options describe.
+
+    Raises:
+        ConfigError: one of them cannot be read.
+    """
+    from gibson_sim_bench.render import Plan
+    from gibson_sim_bench.timing import FIVE
+
+    houses = tuple(args.house) or (HOUSES[:1] if args.quick else HOUSES)
+    return Plan(
+        scenes=houses,
+        sizes=tuple(parse_size(text) for text in args.sizes.split(",") if text),
+        outputs=(("rgb",), ("rgb", "depth"), FIVE),
+        frames=12 if args.quick else max(1, args.frames),
+        peers=True,
+        peer_pythons=tuple(args.peer_python) or ("",),
+        pictures=args.pictures,
+    )

@@ -1,0 +1,177 @@
+"""``gibson-sim bench ros``: starts the processes that are measured, one scenario after the other, and reports."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from gibson_sim.cli.environment import RMW, domain_of, node_environment, require_nodes
+from gibson_sim.cli.report_file import add_report_options, chosen, tell, write_json
+from gibson_sim.cli.shared_memory import remove_dead_segments
+from gibson_sim.standard.domain_lock import DomainLock
+from gibson_sim_bench import timing
+from gibson_sim_bench.cli.processes import CAMERA, BenchError, answer, process, role
+from gibson_sim_bench.protocol import write_changed_robot
+from gibson_sim_bench.reports.ros import report_text
+from gibson_sim_bench.ros import PARTS, ClockCost, Pipeline, Plan, Report, RoundTrip, Size, Transport, pipeline_of, spread
+
+START_S = 90.0
+"""Within so long a simulation has loaded its scene."""
+Tell = Callable[[str], None]
+
+
+def add_parser(kinds: Any) -> None:
+    """Adds the sub-command."""
+    parser = kinds.add_parser(
+        "ros",
+        help="round trips of a state, transport of images, the cost of /clock, images of a running simulation",
+        description="Measures what goes between processes, and what waiting for it costs. Nothing else should run meanwhile.",
+    )
+    parser.add_argument("--quick", action="store_true", help="fewer and shorter: about four minutes instead of ten")
+    parser.add_argument("--only", default="", metavar="A,B", help=f"some of {', '.join(PARTS)} (default: all)")
+    parser.add_argument("--scene", help="scene of the running simulation (default: flat)")
+    add_report_options(parser)
+    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Prints the tables, and writes the JSON file if one is named."""
+    require_nodes()
+    report = measure(plan_of(args), domain_id=args.domain_id, tell=tell)
+    print(report_text(report, markdown=args.markdown))
+    write_json(args.json, report.as_json())
+    return 0
+
+
+def plan_of(args: argparse.Namespace) -> Plan:
+    """Returns what the options ask for.
+
+    Raises:
+        ConfigError: one of them cannot be read.
+    """
+    parts = chosen(args.only, PARTS)
+    plan = Plan.quick(parts) if args.quick else Plan(parts)
+    return replace(plan, scene=args.scene) if args.scene else plan
+
+
+def measure(plan: Plan, *, domain_id: int | None = None, tell: Tell = lambda line: None) -> Report:
+    """Returns what was measured. A scenario that fails is left out, and the report says why.
+
+    Args:
+        plan: What to measure.
+        domain_id: ROS domain; None = as the environment says.
+        tell: Is told in one line what is going on.
+
+    Raises:
+        AlreadyRunningError: a simulation runs in this domain; its /clock would be listened to.
+    """
+    # Nobody else is to hear this /clock, nor these images.
+    environment = node_environment(domain_id=domain_id)
+    report = Report(
+        timing.now(), timing.version(), timing.machine(), timing.cores(), timing.load(), {"Python": _python(), **_versions()}
+    )
+    found: dict[str, list[Any]] = {"state": [], "transport": [], "clock": [], "pipeline": []}
+    left_out: list[str] = []
+    domain = domain_of(environment)
+    for part, scenarios in _scenarios(plan, environment):
+        for name, scenario in scenarios:
+            tell(f"{part}: {name}")
+            try:
+                # The simulation takes the lock itself.
+                lock = None if part == "pipeline" else DomainLock(domain)
+                try:
+                    found[part].append(scenario())
+                finally:
+                    if lock is not None:
+                        lock.close()
+            except BenchError as error:
+                left_out.append(f"{part}, {name}: {error}")
+    remove_dead_segments()
+    return replace(
+        report,
+        round_trips=tuple(found["state"]),
+        transports=tuple(found["transport"]),
+        clocks=tuple(found["clock"]),
+        pipelines=tuple(found["pipeline"]),
+        left_out=tuple(left_out),
+    )
+
+
+_Scenario = tuple[str, Callable[[], Any]]
+
+
+def _scenarios(plan: Plan, environment: Mapping[str, str]) -> Iterator[tuple[str, list[_Scenario]]]:
+    """Yields each part of the plan with its scenarios: a name, and what measures it."""
+
+    def later(function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:
+        return lambda: function(plan, environment, *arguments)
+
+    parts: dict[str, list[_Scenario]] = {
+        "state": [(f"{way.executor}, {way.form}", later(_round_trip, way.executor, way.form)) for way in plan.ways],
+        "transport": [(kind, later(_transport, kind)) for kind in ("standard", "events", "wait set")],
+        "clock": [
+            (f"{who.executor}, use_sim_time {who.use_sim_time}, parameter services {who.parameter_services}", later(_clock, who))
+            for who in plan.listeners
+        ],
+        "pipeline": [
+            (f"{size} at {hz:g} Hz", later(_pipeline, size, hz)) for size in plan.pipeline_sizes for hz in plan.pipeline_hz
+        ],
+    }
+    yield from ((part, parts[part]) for part in plan.parts)
+
+
+def _round_trip(plan: Plan, environment: Mapping[str, str], executor: str, form: str) -> RoundTrip:
+    with role(environment, "pong", executor=executor, form=form):
+        options = {"executor": executor, "form": form, "bodies": plan.bodies, "count": plan.round_trips}
+        found = answer(environment, "ping", plan.round_trips * 0.05, **options)
+    return RoundTrip(executor, form, plan.bodies, len(found["us"]), spread(found["us"]))
+
+
+def _transport(plan: Plan, environment: Mapping[str, str], executor: str) -> Transport:
+    size, hz = plan.transport_size, plan.transport_hz
+    options = {"width": size.width, "height": size.height, "hz": hz, "count": plan.transport_images}
+    with role(environment, "image_source", **options):
+        ages = answer(environment, "image_sink", plan.transport_images / hz, executor=executor)["ms"]
+    return Transport(executor, size, hz, plan.transport_images, len(ages), spread(ages))
+
+
+def _clock(plan: Plan, environment: Mapping[str, str], who: Any) -> ClockCost:
+    options = {"executor": who.executor, "use_sim_time": who.use_sim_time, "parameter_services": who.parameter_services}
+    with role(environment, "clock_source", hz=plan.clock_hz):
+        found = answer(environment, "listener", plan.clock_s, seconds=plan.clock_s, **options)
+    percent, seconds, clock_s = round(found["cpu_percent"], 3), round(found["seconds"], 2), round(found["clock_s"], 2)
+    return ClockCost(who.executor, who.use_sim_time, who.parameter_services, seconds, percent, clock_s)
+
+
+def _pipeline(plan: Plan, environment: Mapping[str, str], size: Size, hz: float) -> Pipeline:
+    with tempfile.TemporaryDirectory(prefix="gibson-sim-bench-") as folder:
+        robot = write_changed_robot(Path(folder), (size.width, size.height))
+        options = ["--scene", plan.scene, "--robot", str(robot), "--camera-rate", f"{hz:g}", "--camera-outputs", "rgb,depth"]
+        command = [sys.executable, "-m", "gibson_sim.cli.main", "run", *options]
+        with process(command, environment):
+            topics = [f"{CAMERA}/image_raw", f"{CAMERA}/depth/image_raw"]
+            heard = answer(environment, "pipeline_sink", START_S + plan.pipeline_s, topics=topics, seconds=plan.pipeline_s)
+    return pipeline_of(size, hz, heard)
+
+
+def _python() -> str:
+    return sys.version.split()[0]
+
+
+def _versions() -> dict[str, str]:
+    """Returns the versions of what carries the messages, as far as pip knows them."""
+    found = {}
+    for package, name in (("rclpy", "rclpy"), ("ros-rmw-fastrtps-cpp", RMW), ("ros-fastrtps", "Fast DDS"), ("numpy", "NumPy")):
+        try:
+            found[name] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return {**found, "ROS": os.environ.get("ROS_DISTRO", "jazzy")}

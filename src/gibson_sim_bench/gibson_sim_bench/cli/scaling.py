@@ -1,0 +1,34 @@
+"""``gibson-sim bench scaling``: how cost and memory grow."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from gibson_sim.cli.quiet import quiet
+from gibson_sim.cli.report_file import add_report_options, tell, write_json
+
+
+def add_parser(kinds: Any) -> None:
+    """Adds the sub-command."""
+    parser = kinds.add_parser(
+        "scaling",
+        help="cost and memory against triangles, resolution, cameras, bodies, robots, environments and processes",
+        description="Every case has a process of its own. `gibson-sim bench report` draws the plots. Nothing else should run meanwhile.",
+    )
+    parser.add_argument("--quick", action="store_true", help="two small cases of each")
+    parser.add_argument("--only", default="", metavar="A,B", help="some of what grows (default: all)")
+    add_report_options(parser)
+    parser.set_defaults(run=run)
+
+
+@quiet()
+def run(args: argparse.Namespace) -> int:
+    """Prints a table, and writes the JSON file if one is named."""
+    from gibson_sim_bench.reports.scaling import report_text
+    from gibson_sim_bench.scaling import kinds_of, measure
+
+    report = measure(kinds_of(args.only), quick=args.quick, tell=tell)
+    print(report_text(report, markdown=args.markdown))
+    write_json(args.json, report.as_json())
+    return 0

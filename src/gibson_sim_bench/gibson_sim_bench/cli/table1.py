@@ -1,0 +1,211 @@
+"""``gibson-sim bench table1``: the paper's table, in this process, in lockstep and free-running over ROS 2."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gibson_sim.cli.environment import node_environment, require_nodes
+from gibson_sim.cli.quiet import quiet
+from gibson_sim.cli.report_file import add_report_options, chosen, parse_device, require_device, tell, write_json
+from gibson_sim.cli.shared_memory import remove_dead_segments
+from gibson_sim.types import OUTPUTS
+from gibson_sim_bench.cli.processes import CAMERA, BenchError, answer, conversation, process, role
+from gibson_sim_bench.protocol import STEP_HZ, TICK_WARM_UP, WAYS, Plan, write_robot
+from gibson_sim_bench.reports.paper import MODES, PHYSICS_SIZE, Mode
+from gibson_sim_bench.reports.table1 import report_text
+from gibson_sim_bench.rows import FREE, HOST, IN_PROCESS, LOCKSTEP, Row, Table1, free_row
+
+START_S = 120.0
+"""Within so long a simulation has loaded its scene."""
+_TOPIC: dict[str, str] = {
+    "rgb": f"{CAMERA}/image_raw",
+    **{name: f"{CAMERA}/{name}/image_raw" for name in OUTPUTS if name != "rgb"},
+}
+_EXCHANGES = 60
+_MOST = 0.9
+"""Part of the images of lockstep that must have come by the last tick."""
+Tell = Callable[[str], None]
+
+
+def add_parser(kinds: Any) -> None:
+    """Adds the sub-command."""
+    parser = kinds.add_parser(
+        "table1",
+        help="the paper's table: frames a second by mode, with full physics and drawing only, in process and over ROS 2",
+        description="The paper's rows, the limits beside them, and what of them is reached. Nothing else should run meanwhile.",
+    )
+    parser.add_argument("--quick", action="store_true", help="24 substeps and 1, fewer frames")
+    parser.add_argument("--only", default="", metavar="A,B", help=f"some of {', '.join(WAYS)} (default: all)")
+    parser.add_argument("--scene", help=f"scene with physics (default: {Plan().scene})")
+    parser.add_argument(
+        "--house",
+        action="append",
+        default=[],
+        metavar="X",
+        help="house to draw, instead of ours; may be given again: name or path",
+    )
+    parser.add_argument("--device", help="EGL device of what is measured in this process, as `gibson-sim doctor` lists them")
+    add_report_options(parser)
+    parser.add_argument("--domain-id", type=int, metavar="N", help="ROS domain (default: $ROS_DOMAIN_ID, or 0)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Prints the tables, and writes the JSON file if one is named."""
+    plan = plan_of(args)
+    require_device(plan.device)
+    if {LOCKSTEP, FREE} & set(plan.ways):
+        require_nodes()
+    report = measure(plan, domain_id=args.domain_id, tell=tell)
+    print(report_text(report, markdown=args.markdown))
+    write_json(args.json, report.as_json())
+    return 0
+
+
+def plan_of(args: argparse.Namespace) -> Plan:
+    """Returns what the options ask for.
+
+    Raises:
+        ConfigError: one of them cannot be read.
+    """
+    plan = replace(Plan.quick() if args.quick else Plan(), ways=chosen(args.only, WAYS))
+    return replace(
+        plan, scene=args.scene or plan.scene, houses=tuple(args.house) or plan.houses, device=parse_device(args.device)
+    )
+
+
+@quiet()
+def measure(plan: Plan, *, domain_id: int | None = None, tell: Tell = lambda line: None) -> Table1:
+    """Returns what was measured; what fails over ROS is left out, and the report says why.
+
+    Args:
+        plan: what to measure; what is measured over ROS needs the rows in process, whose limits it shares.
+        domain_id: ROS domain; None = as the environment says.
+        tell: is told in one line what is going on.
+    """
+    from gibson_sim_bench.table1 import Beside, measure as measure_here
+
+    over_ros = [way for way in (LOCKSTEP, FREE) if way in plan.ways]
+    with tempfile.TemporaryDirectory(prefix="gibson-sim-bench-") as folder:
+        robot = write_robot(Path(folder), PHYSICS_SIZE)
+        environment = node_environment(domain_id=domain_id) if over_ros else {}
+        exchanged: dict[str, dict[str, float]] = {}
+        left_out: list[str] = []
+        if over_ros:
+            tell("messages alone")
+            try:
+                exchanged = _exchanged(environment)
+            except BenchError as error:
+                left_out.append(f"{', '.join(over_ros)}: {error}")
+                over_ros = []
+        beside = Beside(partial(_lockstep, plan, environment, robot, left_out), exchanged) if LOCKSTEP in over_ros else None
+        ways = tuple(dict.fromkeys((*plan.ways, *((IN_PROCESS,) if over_ros else ()))))
+        report = measure_here(replace(plan, ways=ways), robot, tell, beside)
+        rows = list(report.rows)
+        alone = {(r.mode, r.substeps): r for r in rows if r.way == IN_PROCESS and r.substeps and r.to == HOST}
+        for substeps, drawn in ((k, d) for k in plan.substeps for d in (False, True)) if FREE in over_ros else ():
+            what = f"{FREE}: {substeps} substeps, {'images' if drawn else 'no images'}"
+            tell(what)
+            try:
+                rows += _free(plan, environment, robot, substeps, drawn, alone, exchanged)
+            except BenchError as error:
+                left_out.append(f"{what}: {error}")
+        remove_dead_segments()
+    return replace(report, rows=tuple(rows), left_out=tuple(left_out))
+
+
+def _exchanged(environment: Mapping[str, str]) -> dict[str, dict[str, float]]:
+    """Returns of each mode what its messages take with nothing around them."""
+    outputs = [list(mode.outputs) for mode in MODES]
+    width, height = PHYSICS_SIZE
+    with role(environment, "exchange_back", outputs=outputs):
+        options = {"outputs": outputs, "width": width, "height": height, "bodies": 50, "count": _EXCHANGES}
+        rows = answer(environment, "exchange", 30.0, **options)["rows"]
+    return {mode.name: row for mode, row in zip(MODES, rows, strict=True)}
+
+
+@contextmanager
+def _lockstep(
+    plan: Plan, environment: Mapping[str, str], robot: Path, left_out: list[str], substeps: int, modes: Sequence[Mode]
+) -> Iterator[Callable[[int, int], Sequence[float]]]:
+    """Runs a simulation in lockstep, and yields what makes ticks of one of the modes; why that failed is added to ``left_out``."""
+    topics = [[_TOPIC[output] for output in mode.outputs] for mode in modes]
+    failed: list[BenchError] = []
+
+    def make(which: int, count: int) -> Sequence[float]:
+        if failed:
+            return []
+        ticks = count + TICK_WARM_UP
+        try:
+            found = ask({"case": which, "ticks": ticks})
+            if topics[which] and found["sets"] < _MOST * ticks:
+                raise BenchError(f"{found['sets']} sets of images came in {ticks} ticks")
+        except BenchError as error:
+            failed.append(BenchError(f"{LOCKSTEP}, {modes[which].name} with {substeps} substeps and those after it: {error}"))
+            return []
+        seconds: list[float] = (np.diff(found["tick_ns"])[TICK_WARM_UP:] / 1e9).tolist()
+        return seconds
+
+    try:
+        with (
+            process(_command(LOCKSTEP, plan.scene, robot, substeps, modes), environment),
+            conversation(environment, "controller", START_S, cases=topics, substeps=substeps) as ask,
+        ):
+            yield make
+            if failed:
+                raise failed[0]  # the process adds what became of it
+    except BenchError as error:
+        left_out.append(str(error))
+
+
+def _free(
+    plan: Plan,
+    environment: Mapping[str, str],
+    robot: Path,
+    substeps: int,
+    drawn: bool,
+    alone: Mapping[tuple[str, int], Row],
+    exchanged: Mapping[str, Mapping[str, float]],
+) -> Iterator[Row]:
+    """Returns the rows with images, or the one without, of one simulation that runs for all of them."""
+    modes = [mode for mode in MODES if bool(mode.outputs) == drawn]
+    topics = [[_TOPIC[output] for output in mode.outputs] for mode in modes]
+    with process(_command(FREE, plan.scene, robot, substeps, modes), environment):
+        expected = START_S + len(modes) * plan.seconds
+        heard = answer(environment, "table_free", expected, cases=topics, seconds=plan.seconds, substeps=substeps)
+    for k, mode in enumerate(modes):
+        if len(heard["received"][k]) > 2:
+            yield free_row(heard["received"][k], heard["ticks"][k], alone[mode.name, substeps], exchanged[mode.name])
+
+
+def _command(way: str, scene: str, robot: Path, substeps: int, modes: Sequence[Mode]) -> list[str]:
+    """Returns the simulation: one tick a frame, as fast as it can."""
+    hz = str(STEP_HZ // substeps)
+    outputs = ",".join(name for name in OUTPUTS if any(name in mode.outputs for mode in modes))
+    options = [
+        "--scene",
+        scene,
+        "--robot",
+        str(robot),
+        "--rate",
+        "max",
+        "--step-hz",
+        str(STEP_HZ),
+        "--publish-hz",
+        hz,
+        "--clock-hz",
+        hz,
+    ]
+    options += ["--camera-rate", hz, "--camera-outputs", outputs] if outputs else ["--no-render"]
+    options += ["--lockstep", "--participants", "bench_controller"] if way == LOCKSTEP else ["--image-timeout", "0"]
+    return [sys.executable, "-m", "gibson_sim.cli.main", "run", *options]

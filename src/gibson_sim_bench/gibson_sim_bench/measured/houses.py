@@ -1,0 +1,196 @@
+"""Houses of ours as a scan would give them: one uneven mesh, one texture, as many triangles as asked for. For measuring renderers."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from gibson_sim.errors import SceneError
+from gibson_sim.formats.load_mesh import MeshLoader
+from gibson_sim.formats.mesh import MeshPart, TextureSource, area_normals
+from gibson_sim.geometry.transforms import matrix_from_pose
+from gibson_sim.geometry.triangle_meshes import components
+from gibson_sim.picture_files import write_picture
+from gibson_sim.render.culling.closed_solids import find_solids
+from gibson_sim.render.lod.clusters import places
+from gibson_sim.scenes.scene_meshes import scene_roots
+from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.writing import write_file
+from gibson_sim_tools.generator.gltf import Paint, Solid, write_glb
+from gibson_sim_tools.generator.rooms import wobble
+
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+
+TILE = 2048
+"""Pixels a side of each texture in the atlas."""
+_STRIP, _SWATCH = 64, 16
+"""Height of the strip below them with plain colours, and side of a colour, pixels."""
+_WAVES = ((0.35, 0.004), (0.07, 0.0015))
+"""Unevenness: length of waves and how high they are, metres."""
+_WELD = 1e5
+"""Corners nearer than its inverse, metres, are one."""
+
+
+def make_scan(scene: SceneSpec, triangles: int, folder: Path) -> int:
+    """Writes scene.yaml, mesh.glb and atlas.jpg of a scene's standing shapes; returns the number of triangles.
+
+    Args:
+        scene: all of its materials are opaque or are drawn so; textures are not repeated.
+        triangles: about so many, or more; surfaces are divided until there are.
+        folder: exists.
+
+    Raises:
+        SceneError: it has no meshes, or a texture is repeated across a surface.
+    """
+    vertices, uvs, corners, atlas = _merged(scene)
+    vertices, uvs, corners = divided(vertices, uvs, corners, triangles)
+    vertices = vertices + np.stack([_unevenness(vertices, axis) for axis in range(3)], axis=1)
+    corners = opened(vertices, corners)
+    write_picture(folder / "atlas.jpg", cv2.cvtColor(atlas, cv2.COLOR_RGB2BGR), (cv2.IMWRITE_JPEG_QUALITY, 92))
+    solid = Solid()
+    solid.add(Paint("scan", "atlas.jpg", unlit=True), vertices, area_normals(vertices, corners), uvs, corners)
+    write_glb(folder / "mesh.glb", solid)
+    described = {
+        "name": f"scan_{scene.name}",
+        "description": f"{scene.name} as a scan would give it, {len(corners)} triangles, for measurements",
+        "floor_z": scene.floor_z,
+        "floors": list(scene.floors),
+        "objects": [{"name": "scan", "mesh": "mesh.glb", "semantic_class": "building"}],
+    }
+    write_file(folder / "scene.yaml", yaml.safe_dump(described, sort_keys=False))
+    return len(corners)
+
+
+def _merged(scene: SceneSpec) -> tuple[F64, F64, I64, NDArray[np.uint8]]:
+    """Returns vertices (V, 3), uvs (V, 2), triangles (F, 3) and the atlas (H, W, 3) RGB of all standing shapes."""
+    loader = MeshLoader(scene_roots(scene))
+    found: list[tuple[F64, MeshPart]] = []
+    for visual in scene.visuals:
+        T = matrix_from_pose(visual.pose)
+        found += [(T, part) for part in loader.shape(visual.shape).parts]
+    if not found:
+        raise SceneError(f"{scene.name}: has no standing shapes, so there is nothing to make a scan of")
+    textures = list({id(p.material.texture): p.material.texture for _, p in found if p.material.texture is not None}.values())
+    places = _Atlas(textures, sorted({p.material.base_color[:3] for _, p in found if p.material.texture is None}))
+    vertices = [part.vertices @ T[:3, :3].T + T[:3, 3] for T, part in found]
+    starts = np.cumsum([0, *(len(v) for v in vertices)])
+    corners = [part.triangles.astype(np.int64) + start for (_, part), start in zip(found, starts, strict=False)]
+    uvs = [places.uvs(scene.name, part) for _, part in found]
+    return np.concatenate(vertices), np.concatenate(uvs), np.concatenate(corners), places.pixels
+
+
+class _Atlas:
+    """Textures side by side in squares, plain colours in a strip below."""
+
+    def __init__(self, textures: list[TextureSource], colors: list[tuple[float, ...]]) -> None:
+        self._columns = max(1, math.ceil(math.sqrt(len(textures))))
+        rows = math.ceil(len(textures) / self._columns)
+        self._cell = {id(texture): divmod(k, self._columns) for k, texture in enumerate(textures)}
+        self._colors = {color: k for k, color in enumerate(colors)}
+        per_row = self._columns * TILE // _SWATCH
+        strip = max(_STRIP, _SWATCH * math.ceil(len(colors) / per_row))
+        self.pixels = np.zeros((rows * TILE + strip, self._columns * TILE, 3), dtype=np.uint8)
+        for texture in textures:
+            row, column = self._cell[id(texture)]
+            small = cv2.resize(np.ascontiguousarray(texture.pixels[:, :, :3]), (TILE, TILE), interpolation=cv2.INTER_AREA)
+            self.pixels[row * TILE : (row + 1) * TILE, column * TILE : (column + 1) * TILE] = small
+        self._corner = {color: (rows * TILE + k // per_row * _SWATCH, k % per_row * _SWATCH) for color, k in self._colors.items()}
+        for color, (row, column) in self._corner.items():
+            self.pixels[row : row + _SWATCH, column : column + _SWATCH] = np.rint(255 * np.array(color))
+
+    def uvs(self, name: str, part: MeshPart) -> F64:
+        """Returns where the vertices of a part are in the atlas, (V, 2)."""
+        height, width = self.pixels.shape[:2]
+        if part.material.texture is None or part.uvs is None:
+            row, column = self._corner[part.material.base_color[:3]]
+            middle = np.array([column + _SWATCH / 2, row + _SWATCH / 2]) / (width, height)
+            return np.tile(middle, (len(part.vertices), 1))
+        if part.uvs.min() < -0.01 or part.uvs.max() > 1.01:
+            raise SceneError(f"{name}: a texture is repeated across a surface; scans are made of scenes whose textures are not")
+        row, column = self._cell[id(part.material.texture)]
+        placed: F64 = (np.clip(part.uvs.astype(np.float64), 0.0, 1.0) + np.array([column, row])) * TILE / (width, height)
+        return placed
+
+
+def divided(vertices: F64, uvs: F64, triangles: I64, least: int) -> tuple[F64, F64, I64]:
+    """Returns vertices (V, 3), uvs (V, 2) and at least so many triangles (F, 3) of the same surface, without cracks.
+
+    All edges longer than a limit are cut in the middle, on both of their sides, again and again; the limit shrinks until there are
+    enough triangles.
+    """
+    if len(triangles) >= least:
+        return vertices, uvs, triangles
+    area = float(np.linalg.norm(_normals(vertices, triangles), axis=1).sum()) / 2.0
+    limit = 10.0 * math.sqrt(area / least)
+    while True:
+        made = _cut(vertices, uvs, triangles, limit)
+        if len(made[2]) >= least:
+            return made
+        limit *= max(0.75, 0.97 * math.sqrt(len(made[2]) / least))
+
+
+def opened(vertices: F64, triangles: I64) -> I64:
+    """Returns the triangles (F, 3) without the lowest one of each closed solid: no scanner sees undersides, so nothing in a scan is closed."""
+    normals = area_normals(vertices, triangles).astype(np.float32)
+    mesh = MeshPart(vertices.astype(np.float32), normals, None, triangles.astype(np.uint32))
+    closed = np.flatnonzero(find_solids([mesh], [True]).triangles[0])
+    place = places(mesh.vertices)
+    solid = components(place[triangles[closed]], int(place.max()) + 1)
+    order = np.lexsort((vertices[triangles[closed], 2].mean(axis=1), solid))
+    lowest = order[np.unique(solid[order], return_index=True)[1]]
+    return np.delete(triangles, closed[lowest], axis=0)
+
+
+def _normals(vertices: F64, triangles: I64) -> F64:
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    return np.cross(b - a, c - a)
+
+
+def _cut(vertices: F64, uvs: F64, triangles: I64, limit: float) -> tuple[F64, F64, I64]:
+    rows = np.hstack([vertices, uvs])
+    while True:
+        ends = triangles[:, [[0, 1], [1, 2], [2, 0]]]  # (F, 3, 2)
+        # Rounded, so that both sides of an edge decide alike although their corners are stored twice.
+        at = np.rint(rows[:, :3] * _WELD)
+        length = np.linalg.norm(at[ends[:, :, 0]] - at[ends[:, :, 1]], axis=2) / _WELD
+        long = length > limit
+        if not long.any():
+            return rows[:, :3], rows[:, 3:], triangles
+        edges = np.sort(ends[long], axis=1)
+        unique, number = np.unique(edges[:, 0] * len(rows) + edges[:, 1], return_inverse=True)
+        middle = np.full(long.shape, -1, dtype=np.int64)
+        middle[long] = len(rows) + number
+        rows = np.vstack([rows, (rows[unique // len(rows)] + rows[unique % len(rows)]) / 2.0])
+        triangles = _pieces(triangles, middle)
+
+
+def _pieces(triangles: I64, middle: I64) -> I64:
+    """Returns the pieces of triangles (F, 3) whose edges have a new vertex in the middle, (F, 3); -1 = none."""
+    cuts = (middle >= 0).sum(axis=1)
+    # Turned so that the first edge is cut and, of two that are cut, the last one is not.
+    turn = np.where(cuts == 2, np.argmax(middle < 0, axis=1) + 1, np.argmax(middle >= 0, axis=1)) % 3
+    order = (turn[:, None] + np.arange(3)) % 3
+    t, m = np.take_along_axis(triangles, order, axis=1), np.take_along_axis(middle, order, axis=1)
+    (a, b, c), (ab, bc, ca) = t.T, m.T
+    parts = {
+        0: ((a, b, c),),
+        1: ((a, ab, c), (ab, b, c)),
+        2: ((a, ab, c), (ab, bc, c), (ab, b, bc)),
+        3: ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)),
+    }
+    found = [np.stack(corners, axis=1)[cuts == count] for count, pieces in parts.items() for corners in pieces]
+    return np.concatenate(found)
+
+
+def _unevenness(vertices: F64, axis: int) -> F64:
+    """Returns how far a scan is off along an axis, (V,), metres: by place alone, so that no crack opens."""
+    off: F64 = sum(
+        (height * wobble(vertices, 10 * axis + k, length) for k, (length, height) in enumerate(_WAVES)), start=np.zeros(1)
+    )
+    return off

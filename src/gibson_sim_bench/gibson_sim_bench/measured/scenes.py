@@ -1,0 +1,197 @@
+"""What the renderers are measured on: a scene, the way of the camera through it, and its mesh in the formats of other renderers."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import ConfigError, GibsonSimError, SceneError
+from gibson_sim.formats.load_mesh import load_mesh
+from gibson_sim.geometry.transforms import R_LINK_OPTICAL, Mat4
+from gibson_sim.maps.floor_map import scene_floor_map
+from gibson_sim.maps.tour import choose_start, plan_tour
+from gibson_sim.picture_files import write_picture
+from gibson_sim.resources import cache_folder, find_scene
+from gibson_sim.scenes.load import load_scene
+from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.writing import replacing, write_file
+from gibson_sim_bench.measured import houses
+from gibson_sim_tools import generator
+from gibson_sim_tools.generator.rooms import make_rooms, rooms_camera_path
+
+CAMERA_HEIGHT = 1.2
+"""Above the floor, metres."""
+_RADIUS = 0.25
+_TOUR_M = 25.0
+_AHEAD_M = 0.5
+_UNITS = {"k": 1_000, "m": 1_000_000}
+
+
+@dataclass(frozen=True, slots=True)
+class BenchScene:
+    """A scene that is measured."""
+
+    name: str
+    """As it is asked for; without the folders of a path."""
+    path: Path
+    rooms: int = 0
+    """Triangles that were asked for, if it is generated."""
+    plan: Path | None = None
+    """Scene whose floors the camera goes along; None = those of the scene itself."""
+
+
+def bench_scene(name: str) -> BenchScene:
+    """Returns a scene by its name or path; two kinds are made here once and kept in the user's cache.
+
+    ``rooms:100k`` is a generated floor of so many triangles; ``scan:garden_house:500k`` is one of our scenes as a scan would give it.
+
+    Raises:
+        ConfigError: ``rooms:`` or ``scan:`` is not followed by a number of triangles.
+        SceneNotFoundError: there is none of this name.
+        SceneError: no scan can be made of it.
+    """
+    kind, _, what = name.partition(":")
+    if kind == "rooms" and what:
+        triangles = parse_count(what)
+        return BenchScene(name, _kept_rooms(triangles), triangles)
+    path = find_scene(what.rpartition(":")[0] if kind == "scan" else name)
+    if kind == "scan":
+        return BenchScene(name, _kept_scan(path, parse_count(what.rpartition(":")[2])), plan=path)
+    return BenchScene(path.stem if path.is_file() else path.name, path)
+
+
+def parse_count(text: str) -> int:
+    """Returns 500000 for ``500k`` and 1000000 for ``1m``.
+
+    Raises:
+        ConfigError: it is no number of triangles that rooms can have.
+    """
+    unit = _UNITS.get(text[-1:].lower(), 1)
+    try:
+        count = int(float(text[:-1] if unit > 1 else text) * unit)
+    except ValueError:
+        count = 0
+    if not 1_000 <= count <= 20_000_000:
+        raise ConfigError(f"rooms:{text}: must be a number of triangles from 1k to 20m, such as rooms:500k")
+    return count
+
+
+def _kept_rooms(triangles: int) -> Path:
+    sources = sorted(Path(generator.__file__).parent.glob("*.py"))
+    return _kept(f"rooms_{triangles}", sources, "", lambda made: make_rooms(made, 0, triangles))
+
+
+def _kept_scan(path: Path, triangles: int) -> Path:
+    scene = load_scene(path)
+    name = f"scan_{scene.name}_{triangles}"
+    return _kept(name, [Path(houses.__file__)], scene.content_hash, lambda made: houses.make_scan(scene, triangles, made))
+
+
+def _kept(name: str, sources: list[Path], content: str, make: Callable[[Path], object]) -> Path:
+    """Returns the folder in the cache of what ``make`` made there, once for each state of the code and of what it is made from."""
+    digest = hashlib.sha256(content.encode())
+    for source in sources:
+        digest.update(source.read_bytes())
+    folder = cache_folder("bench") / f"{name}_{digest.hexdigest()[:12]}"
+    if not folder.is_dir():
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        made = Path(tempfile.mkdtemp(dir=folder.parent))
+        try:
+            make(made)
+            made.rename(folder)
+        except OSError:
+            if not folder.is_dir():  # else another process was quicker
+                raise
+        finally:
+            shutil.rmtree(made, ignore_errors=True)
+    return folder
+
+
+def camera_path(scene: BenchScene, frames: int) -> list[Mat4]:
+    """Returns ``frames`` poses T_world_camera (optical frame) on a fixed way over all floors of a scene, 1.2 m above them.
+
+    Raises:
+        SceneError: no place on the floor is free.
+    """
+    if scene.rooms:
+        return rooms_camera_path(frames)
+    spec = load_scene(scene.plan or scene.path)
+    shares = np.diff(np.linspace(0, frames, len(spec.floors) + 1).round().astype(int))
+    return [pose for z, count in zip(spec.floors, shares, strict=True) for pose in _path_on(spec, z, int(count))]
+
+
+def _path_on(spec: SceneSpec, floor_z: float, frames: int) -> list[Mat4]:
+    """Returns so many poses on a way over one floor."""
+    here = replace(spec, floor_z=floor_z, other_floors=(), ground_z=floor_z if spec.ground_z is not None else None)
+    floor = scene_floor_map(here, robot_height=CAMERA_HEIGHT + 0.1)
+    x, y, _ = choose_start(floor, _RADIUS)
+    return path_along(plan_tour(floor, (x, y), _RADIUS, _TOUR_M), floor_z + CAMERA_HEIGHT, frames)
+
+
+def path_along(points: NDArray[np.float64], z: float, frames: int) -> list[Mat4]:
+    """Returns poses T_world_camera (optical frame) evenly spaced on a line (N, 2) at height z, looking where it goes."""
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    poses = []
+    for at in np.linspace(0.0, float(arc[-1]) - _AHEAD_M, frames):
+        x, y = (float(np.interp(at, arc, points[:, k])) for k in range(2))
+        dx, dy = (float(np.interp(at + _AHEAD_M, arc, points[:, k])) - c for k, c in enumerate((x, y)))
+        yaw = math.atan2(dy, dx)
+        pose = np.eye(4)
+        pose[:2, :2] = [[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]]
+        pose[:3, :3] = pose[:3, :3] @ R_LINK_OPTICAL
+        pose[:3, 3] = (x, y, z)
+        poses.append(pose)
+    return poses
+
+
+def export_for_peers(scene: BenchScene) -> Path:
+    """Returns a folder with ``mesh.npz``, ``mesh.obj``, ``mesh.mtl`` and ``atlas.png``: what other renderers can load.
+
+    Raises:
+        SceneError: the scene is more than one mesh with one texture, which is what all of them can show alike.
+    """
+    if scene.rooms:
+        file = scene.path / "rooms.glb"
+        folder = scene.path / "peers"
+    else:
+        spec = load_scene(scene.path)
+        if len(spec.visuals) != 1 or spec.visuals[0].shape.kind != "mesh" or np.any(spec.visuals[0].pose.position):
+            raise SceneError(f"{scene.name}: has {len(spec.visuals)} shapes; the peers draw scenes of one mesh with one texture")
+        file = Path(spec.visuals[0].shape.mesh)
+        folder = cache_folder("bench") / f"peers_{spec.content_hash[:24]}"
+    if not (folder / "mesh.npz").is_file():
+        folder.mkdir(parents=True, exist_ok=True)
+        _export(scene.name, file, folder)
+    return folder
+
+
+def _export(name: str, file: Path, folder: Path) -> None:
+    mesh = load_mesh(file, [file.parent])
+    part = mesh.parts[0]
+    if len(mesh.parts) != 1 or part.uvs is None or part.material.texture is None:
+        raise SceneError(f"{name}: has {len(mesh.parts)} materials; the peers draw scenes of one mesh with one texture")
+    write_picture(folder / "atlas.png", part.material.texture.pixels[:, :, 2::-1], (cv2.IMWRITE_PNG_COMPRESSION, 1))
+    write_file(folder / "mesh.mtl", "newmtl atlas\nKa 1 1 1\nKd 1 1 1\nKs 0 0 0\nmap_Kd atlas.png\n")
+    with replacing(folder / "mesh.obj") as draft, draft.open("w", encoding="utf-8") as obj:
+        obj.write("mtllib mesh.mtl\nusemtl atlas\n")
+        uvs = np.stack([part.uvs[:, 0], 1.0 - part.uvs[:, 1]], axis=1)
+        for word, rows in (("v", part.vertices), ("vt", uvs), ("vn", part.normals)):
+            obj.writelines(f"{word} " + " ".join(f"{c:.6g}" for c in row) + "\n" for row in rows.tolist())
+        obj.writelines("f " + " ".join(f"{i}/{i}/{i}" for i in row) + "\n" for row in (part.triangles + 1).tolist())
+    # Last, and at once: where this file is, all of them are whole.
+    with replacing(folder / "mesh.npz") as draft:
+        np.savez(draft, vertices=part.vertices, normals=part.normals, uvs=part.uvs, triangles=part.triangles)
+
+
+def problem(error: GibsonSimError | Exception) -> str:
+    """Returns an error as one line."""
+    return " ".join(str(error).split())

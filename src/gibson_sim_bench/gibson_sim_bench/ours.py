@@ -1,0 +1,76 @@
+"""Gibson Sim as a contestant: ``python -m gibson_sim_bench.ours`` is told what to draw over a pipe."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from gibson_sim.geometry.transforms import quat_from_matrix
+from gibson_sim.render.cache import default_folder
+from gibson_sim.render.renderer import Renderer
+from gibson_sim.scenes.load import load_scene
+from gibson_sim.scenes.scene_meshes import scene_roots
+from gibson_sim.scenes.spec import drawn_scene
+from gibson_sim.types import CameraSpec, Frame, Output, Pose, SceneState
+from gibson_sim_bench.workers import Matrix, serve
+
+NEAR, FAR = 0.05, 100.0
+STILL = SceneState.still()
+"""State of a scene in which nothing moves."""
+
+
+class GibsonSim:
+    """Our renderer with a scene loaded from its files.
+
+    Args:
+        scene: folder or file.
+        detail_px: as ``Renderer`` takes it.
+        device: EGL device; None = a GPU if there is one.
+    """
+
+    def __init__(self, scene: str, detail_px: float, device: int | str | None = None) -> None:
+        logging.disable(logging.WARNING)
+        spec = load_scene(Path(scene))
+        self._renderer = Renderer(
+            drawn_scene(spec, ()), device=device, allowed_roots=scene_roots(spec), detail_px=detail_px, cache=default_folder()
+        )
+        info = self._renderer.info
+        names = ("renderer", "version", "triangles", "textures")
+        self.info = {name: str(info[name]) for name in names}
+        self._camera = CameraSpec("eye", "")
+
+    def prepare(self, width: int, height: int, fov_y: float, outputs: tuple[str, ...]) -> None:
+        """Makes ready for images of this size (pixels, radians) with these outputs."""
+        asked = cast("tuple[Output, ...]", outputs)
+        self._camera = CameraSpec("eye", "", Pose(), width, height, fov_y, near=NEAR, far=FAR, outputs=asked)
+
+    def draw(self, pose: Matrix) -> Frame:
+        """Draws one image with all of its outputs."""
+        c = self._camera
+        camera = CameraSpec(c.name, c.link, pose_of(pose), c.width, c.height, c.fov_y, near=c.near, far=c.far, outputs=c.outputs)
+        return self._renderer.render(STILL, [camera])[0]
+
+    def picture(self, drawn: Frame) -> tuple[bytes, int, int]:
+        """Returns RGB bytes, height and width."""
+        assert drawn.rgb is not None
+        return drawn.rgb.tobytes(), drawn.camera.height, drawn.camera.width
+
+    def triangles(self) -> int:
+        """Returns how many triangles the last image took."""
+        return self._renderer.drawn_triangles
+
+
+def pose_of(matrix: Sequence[float]) -> Pose:
+    """Returns a pose from the 16 numbers of its matrix, by rows."""
+    T = np.array(matrix, dtype=np.float64).reshape(4, 4)
+    assert math.isclose(T[3, 3], 1.0)
+    return Pose((float(T[0, 3]), float(T[1, 3]), float(T[2, 3])), quat_from_matrix(T[:3, :3]))
+
+
+if __name__ == "__main__":
+    serve({"Gibson Sim": GibsonSim})

@@ -1,0 +1,100 @@
+"""How the paper's table is measured, whichever way: robot, time step, commands, how much. Knows neither ROS, physics nor OpenGL."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from gibson_sim.reading import read_yaml_file
+from gibson_sim.resources import find_robot
+from gibson_sim.writing import write_file
+from gibson_sim_bench.reports.paper import Mode
+
+STEP_HZ = 240
+SUBSTEPS = (24, 4, 1)
+COMMANDS_PER_S = 10
+"""Of simulation time."""
+HOUSES = ("scan:linden_flat:300k", "scan:garden_house:500k")
+"""Of scan size; the second has two floors."""
+HOUSES_ONLY = "houses"
+WAYS = ("in process", "lockstep", "free-running", HOUSES_ONLY)
+"""What can be measured alone."""
+FOV_Y_DEG = 90.0
+ROBOT = "gibson_bot"
+HOUSE_MODES = (Mode("RGB", ("rgb",)), Mode("RGB-D", ("rgb", "depth")))
+WARM_UP = 10
+"""Frames that do not count, at least."""
+SETTLE_S = 4.0
+"""Simulation time that passes before the first frame: what lies still has fallen asleep by then, whichever way and row."""
+BLOCK = 12
+"""Frames that are made before the limits have their turn again."""
+TICK_WARM_UP = 3
+"""Ticks at the beginning of each block that do not count."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How much to measure."""
+
+    scene: str = "linden_flat"
+    houses: tuple[str, ...] = HOUSES
+    substeps: tuple[int, ...] = SUBSTEPS
+    frames: int = 150
+    """With images."""
+    sensor_frames: int = 1500
+    """Without."""
+    seconds: float = 4.0
+    """Wall time of each mode of the free-running simulation."""
+    ways: tuple[str, ...] = WAYS
+    device: int | str | None = None
+
+    @classmethod
+    def quick(cls) -> Plan:
+        """Returns a plan that takes about three minutes."""
+        return cls(substeps=(24, 1), frames=40, sensor_frames=300, seconds=1.5)
+
+
+def write_robot(folder: Path, size: tuple[int, int]) -> Path:
+    """Writes the robot of the table into a folder: ours with one camera of 90 degrees and no lidar; returns its file."""
+    return write_changed_robot(folder, size, fov_y_deg=FOV_Y_DEG, lidar=False)
+
+
+def write_changed_robot(folder: Path, size: tuple[int, int], *, fov_y_deg: float | None = None, lidar: bool = True) -> Path:
+    """Writes our robot with other images into a folder; returns its file.
+
+    Args:
+        folder: where.
+        size: width and height of images, pixels.
+        fov_y_deg: degrees from top to bottom; None = its own.
+        lidar: whether it keeps its lidar.
+    """
+    home = find_robot(ROBOT)
+    settings = read_yaml_file(home / "robot.yaml")
+    settings["urdf"] = str((home / settings["urdf"]).resolve())
+    camera = {**settings["cameras"][0], "width": size[0], "height": size[1]}
+    settings["cameras"] = [camera if fov_y_deg is None else {**camera, "fov_y_deg": fov_y_deg}]
+    if not lidar:
+        del settings["lidar"]
+    path = folder / "robot.yaml"
+    write_file(path, yaml.safe_dump(settings))
+    return path
+
+
+class Commands:
+    """Velocities of a robot, from one seed: (m/s, rad/s). Their mean is 0, so that it stays where it began and all rows see the same."""
+
+    def __init__(self, substeps: int) -> None:
+        self._rng = np.random.default_rng(0)
+        self._frames = max(1, STEP_HZ // COMMANDS_PER_S // substeps)
+        self._frame = 0
+        self._command = (0.0, 0.0)
+
+    def next(self) -> tuple[float, float]:
+        """Returns what to do in the next frame."""
+        if self._frame % self._frames == 0:
+            self._command = float(self._rng.uniform(-0.2, 0.2)), float(self._rng.uniform(-1.0, 1.0))
+        self._frame += 1
+        return self._command

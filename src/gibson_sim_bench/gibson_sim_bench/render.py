@@ -1,0 +1,349 @@
+"""How many images a second, along a fixed way through scenes: ours, and other renderers on the same mesh.
+
+Every contestant has a process of its own, and only one draws at a time: they take turns in rounds, so that whatever else the machine
+does hits all alike. An image counts once all that was asked for lies in host memory.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gibson_sim.config import DETAIL_PX
+from gibson_sim.errors import GibsonSimError, RenderError
+from gibson_sim.picture_files import write_picture
+from gibson_sim.types import Output
+from gibson_sim_bench import timing
+from gibson_sim_bench.measured.scenes import BenchScene, bench_scene, camera_path, export_for_peers, problem
+from gibson_sim_bench.timing import FIVE, rates_of
+from gibson_sim_bench.workers import Worker, WorkerError
+
+SCENES = ("rooms:100k", "rooms:500k", "rooms:1m")
+SIZES = ((256, 256), (640, 480), (1024, 1024))
+OUTPUT_SETS: tuple[tuple[Output, ...], ...] = (("rgb",), ("rgb", "depth"), FIVE)
+FOV_Y = math.radians(60.0)
+"""Vertical, of every camera."""
+ROUNDS = 6
+OURS = "Gibson Sim"
+
+
+@dataclass(frozen=True, slots=True)
+class Peer:
+    """Another renderer, and what it is asked for."""
+
+    name: str
+    outputs: tuple[tuple[str, ...], ...]
+    how: str
+    """How it draws them; for the report."""
+
+
+PEERS = (
+    Peer("MuJoCo", (("rgb",), ("rgb", "depth")), "RGB + depth are two renders"),
+    Peer("pyrender", (("rgb", "depth"),), "FLAT; 4 samples a pixel, which it cannot do without"),
+    Peer("PyBullet TinyRenderer", (("rgb", "depth", "semantic"),), "RGB, depth and segmentation in one call"),
+    Peer(
+        "PyBullet EGL", (("rgb", "depth", "semantic"),), "RGB, depth and segmentation in one call; its light cannot be turned off"
+    ),
+    Peer(
+        "iGibson",
+        (("rgb",), ("rgb", "depth")),
+        "all outputs in one pass, each read back as four floats a pixel; light without its data",
+    ),
+)
+ABSENT = (
+    (
+        "Habitat-sim",
+        "no package on PyPI; 753 and 688 frames/s on the two houses of the paper, drawing only (its Table 1, GTX 1080 Ti)",
+    ),
+    ("Isaac Sim", "needs an RTX GPU"),
+    ("Gazebo", "its cameras belong to a running simulation and are no library; docs/comparison.md"),
+)
+"""Who cannot take part here, and why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What to measure."""
+
+    scenes: tuple[str, ...] = SCENES
+    sizes: tuple[tuple[int, int], ...] = SIZES
+    """(width, height), pixels."""
+    outputs: tuple[tuple[Output, ...], ...] = OUTPUT_SETS
+    frames: int = 60
+    """Images of each case. A sixth as many are drawn before, and one at the beginning of each turn, that do not count."""
+    detail_px: tuple[float, ...] = (DETAIL_PX,)
+    """Each value is a contestant."""
+    device: int | str | None = None
+    peers: bool = False
+    peer_pythons: tuple[str, ...] = ("",)
+    """Interpreters that may have a peer's package, tried in this order; empty = this one."""
+    pictures: Path | None = None
+    """Folder for the first image of every contestant."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of the report: one contestant in one case."""
+
+    scene: str
+    triangles: int
+    """Of the scene."""
+    width: int
+    height: int
+    outputs: tuple[str, ...]
+    contestant: str
+    fps: float
+    """Images a second: 1 / median of the time of one."""
+    p5: float
+    p95: float
+    drawn: int
+    """Triangles that one image took, median; 0 = the contestant does not say."""
+
+    @property
+    def size(self) -> str:
+        """Width and height."""
+        return f"{self.width}x{self.height}"
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What was measured, where and when."""
+
+    date: str
+    version: str
+    machine: str
+    cores: int
+    load: float
+    """Average over the minute before."""
+    contestants: dict[str, dict[str, str]]
+    """What each says of itself."""
+    fov_y_deg: float
+    frames: int
+    rows: tuple[Row, ...]
+    left_out: tuple[str, ...] = field(default=())
+    """Who could not take part, and why."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Returns it as values for JSON, with the ratios."""
+        figures = [
+            {
+                "name": f"{r.contestant}: {'+'.join(r.outputs)}, {r.scene}, {r.size}",
+                "value": r.fps,
+                "unit": "frames/s",
+                "better": "more",
+            }
+            for r in self.rows
+            if r.contestant.startswith(OURS)
+        ]
+        against = [asdict(a) for a in against_peers(self.rows)]
+        return {"kind": "render", **asdict(self), "against_peers": against, "figures": figures}
+
+
+@dataclass(frozen=True, slots=True)
+class Against:
+    """Our five outputs against RGB + depth of the best peer."""
+
+    scene: str
+    width: int
+    height: int
+    contestant: str
+    peer: str
+    ratio: float
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What takes turns: one contestant with one set of outputs."""
+
+    contestant: str
+    worker: Worker
+    outputs: tuple[str, ...]
+
+
+def measure(plan: Plan, tell: Callable[[str], None] = lambda line: None) -> Report:
+    """Returns what was measured.
+
+    Args:
+        plan: what to measure.
+        tell: is told in one line what is going on.
+
+    Raises:
+        GibsonSimError: a scene cannot be loaded, or our own renderer fails. A peer that fails is left out.
+    """
+    date, version, load = timing.now(), timing.version(), timing.load()
+    rows: list[Row] = []
+    infos: dict[str, dict[str, str]] = {}
+    left_out: list[str] = []
+    for scene in [bench_scene(name) for name in plan.scenes]:
+        with ExitStack() as stack:
+            tell(f"{scene.name}: loading")
+            contestants, lines = _contestants(scene, plan, stack, infos)
+            left_out += [line for line in lines if line not in left_out]
+            triangles = int(contestants[0][1]["triangles"])
+            poses = [pose.ravel().tolist() for pose in camera_path(scene, plan.frames)]
+            for width, height in plan.sizes:
+                cases = [Case(name, worker, outputs) for name, _, worker, sets in contestants for outputs in sets]
+                _pictures(plan, scene, width, height, contestants, poses[0])
+                found, lines = _measured(cases, width, height, poses)
+                left_out += [line for line in lines if line not in left_out]
+                for case, seconds, drawn in found:
+                    rates = rates_of(seconds)
+                    fps, p5, p95 = (round(rate, 2) for rate in (rates.median, rates.p5, rates.p95))
+                    typical = int(np.median(drawn))
+                    rows.append(Row(scene.name, triangles, width, height, case.outputs, case.contestant, fps, p5, p95, typical))
+                    tell(f"{scene.name} {width}x{height} {case.contestant} {'+'.join(case.outputs)}: {fps:.1f} fps")
+    return Report(
+        date=date,
+        version=version,
+        machine=timing.machine(),
+        cores=timing.cores(),
+        load=load,
+        contestants=infos,
+        fov_y_deg=round(math.degrees(FOV_Y), 3),
+        frames=plan.frames,
+        rows=tuple(rows),
+        left_out=tuple(left_out),
+    )
+
+
+_Contestant = tuple[str, dict[str, str], Worker, tuple[tuple[str, ...], ...]]
+
+
+def _contestants(
+    scene: BenchScene, plan: Plan, stack: ExitStack, infos: dict[str, dict[str, str]]
+) -> tuple[list[_Contestant], list[str]]:
+    """Returns (name, info, worker, output sets) of all that have loaded the scene, ours first, and who has not."""
+    found: list[_Contestant] = []
+    for detail_px in plan.detail_px:
+        name = OURS if detail_px == plan.detail_px[0] else f"{OURS}, detail {detail_px:g} px"
+        worker = stack.enter_context(Worker("gibson_sim_bench.ours"))
+        try:
+            info = worker.ask("open", engine=OURS, scene=str(scene.path), detail_px=detail_px, device=plan.device)
+        except WorkerError as error:
+            raise RenderError(f"{scene.name}: {name} cannot draw it: {problem(error)}") from error
+        infos[name] = {key: value for key, value in info.items() if key not in ("triangles", "textures")}
+        infos[name]["detail_px"] = f"{detail_px:g}"
+        found.append((name, info, worker, plan.outputs))
+    lines: list[str] = []
+    if plan.peers:
+        try:
+            folder = export_for_peers(scene)
+        except GibsonSimError as error:
+            return found, [f"peers: {problem(error)}"]
+        for peer in PEERS:
+            opened = _opened(peer, plan, str(folder), stack)
+            if isinstance(opened, str):
+                lines.append(f"{peer.name}: {opened}")
+                continue
+            worker, info = opened
+            infos[peer.name] = {**info, "how": peer.how}
+            found.append((peer.name, info, worker, peer.outputs))
+    return found, lines
+
+
+def _opened(peer: Peer, plan: Plan, folder: str, stack: ExitStack) -> tuple[Worker, dict[str, str]] | str:
+    """Returns a peer that has loaded the scene, in the first interpreter that has it, with what it says of itself; else why none has."""
+    why = ""
+    for python in plan.peer_pythons:
+        with ExitStack() as attempt:
+            try:
+                worker = attempt.enter_context(Worker("gibson_sim_bench.peers", python))
+                info = worker.ask("open", engine=peer.name, folder=folder, sizes=plan.sizes)
+            except WorkerError as error:
+                why = why or problem(error)
+                continue
+            stack.enter_context(attempt.pop_all())
+            return worker, info
+    return why
+
+
+def _measured(
+    cases: Sequence[Case], width: int, height: int, poses: list[list[float]]
+) -> tuple[list[tuple[Case, list[float], list[int]]], list[str]]:
+    """Returns the seconds of each image and the triangles that it took, of every case that came through, and what did not."""
+    seconds: dict[int, list[float]] = {k: [] for k in range(len(cases))}
+    drawn: dict[int, list[int]] = {k: [] for k in range(len(cases))}
+    lines: list[str] = []
+    for number, part in enumerate(rounds(poses)):
+        for k, case in enumerate(cases):
+            if k not in seconds:
+                continue
+            try:
+                times, triangles = case.worker.ask(
+                    "frames", width=width, height=height, fov_y=FOV_Y, outputs=case.outputs, poses=part
+                )
+            except WorkerError as error:
+                if case.contestant.startswith(OURS):
+                    raise RenderError(f"{case.contestant} at {width}x{height}: {problem(error)}") from error
+                lines.append(f"{case.contestant} at {width}x{height}: {problem(error)}")
+                del seconds[k]
+                continue
+            if number > 0:
+                seconds[k] += times
+                drawn[k] += triangles
+    return [(case, seconds[k], drawn[k]) for k, case in enumerate(cases) if k in seconds], lines
+
+
+def rounds(poses: list[list[float]]) -> Iterator[list[list[float]]]:
+    """Returns the poses of each round; the first is the warm-up, whose images are drawn again later."""
+    parts = [list(part) for part in np.array_split(np.arange(len(poses)), min(ROUNDS, len(poses)))]
+    for part in (parts[-1], *parts):
+        yield [poses[k] for k in part]
+
+
+def _pictures(
+    plan: Plan, scene: BenchScene, width: int, height: int, contestants: Sequence[_Contestant], pose: list[float]
+) -> None:
+    """Writes what each of them sees first."""
+    if plan.pictures is None:
+        return
+    plan.pictures.mkdir(parents=True, exist_ok=True)
+    for name, _, worker, sets in contestants:
+        try:
+            asked = {"width": width, "height": height, "fov_y": FOV_Y, "outputs": sets[-1], "poses": [pose]}
+            pixels, rows, columns = worker.ask("picture", **asked)
+        except WorkerError:
+            continue  # it is said when it is measured
+        image = np.frombuffer(pixels, dtype=np.uint8).reshape(rows, columns, 3)
+        file = f"{scene.name}_{width}x{height}_{name}.png".replace(" ", "_").replace(":", "_").replace(",", "")
+        write_picture(plan.pictures / file, image[:, :, ::-1])
+
+
+def against_peers(rows: Sequence[Row]) -> list[Against]:
+    """Returns, of each scene and size, how many times as fast our five outputs are as RGB + depth of the best peer."""
+    found = []
+    for ours in rows:
+        if ours.outputs != FIVE or not ours.contestant.startswith(OURS):
+            continue
+        peers = [
+            row
+            for row in rows
+            if not row.contestant.startswith(OURS)
+            and {"rgb", "depth"} <= set(row.outputs)
+            and (row.scene, row.size) == (ours.scene, ours.size)
+        ]
+        if peers:
+            best = max(peers, key=lambda row: row.fps)
+            times = round(timing.ratio(ours.fps, best.fps), 2)
+            found.append(Against(ours.scene, ours.width, ours.height, ours.contestant, best.contestant, times))
+    return found
+
+
+def growth(rows: Sequence[Row]) -> list[tuple[Row, float]]:
+    """Returns, of each case of the largest rooms, how many times as long an image takes as in the smallest rooms."""
+    sizes = sorted({(row.triangles, row.scene) for row in rows if row.scene.startswith("rooms:")})
+    if len(sizes) < 2:
+        return []
+    small, large = sizes[0][1], sizes[-1][1]
+    before = {(row.size, row.outputs, row.contestant): row.fps for row in rows if row.scene == small}
+    return [
+        (row, round(timing.ratio(before[row.size, row.outputs, row.contestant], row.fps), 2))
+        for row in rows
+        if row.scene == large and (row.size, row.outputs, row.contestant) in before
+    ]

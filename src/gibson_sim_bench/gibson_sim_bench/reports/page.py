@@ -1,0 +1,169 @@
+"""The page of all measurements: what is fast, what is not, and why, from the JSON files in a folder."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.writing import write_file
+from gibson_sim_bench import scaling, soak
+from gibson_sim_bench.render import Report, Row as RenderRow
+from gibson_sim_bench.reports import plots
+from gibson_sim_bench.reports.compare import read_report
+from gibson_sim_bench.reports.paper import SENSOR_ONLY
+from gibson_sim_bench.reports.render import report_text as render_text
+from gibson_sim_bench.reports.scaling import report_text as scaling_text
+from gibson_sim_bench.reports.soak import report_text as soak_text
+from gibson_sim_bench.reports.table1 import report_text as table1_text
+from gibson_sim_bench.rows import ENOUGH, FREE, HOST, IN_PROCESS, LOCKSTEP, Row, Table1, table_of
+
+_TITLES = {
+    "table1": "The paper's table",
+    "peers": "Other renderers",
+    "scaling": "How cost grows",
+    "soak": "Long runs",
+}
+"""Of the kinds of reports, in the order of the page."""
+BEGIN, END = "<!-- figures: begin -->", "<!-- figures: end -->"
+"""Between these lines of the page stands what is made here; what people write around them stays."""
+
+
+def write_page(data: Path, output: Path, images: Path) -> list[str]:
+    """Writes the figures into the page, and the plots; returns what was used and what was left out, one line each.
+
+    Args:
+        data: folder of JSON files.
+        output: the page; between ``BEGIN`` and ``END`` it is written anew.
+        images: folder of the plots.
+
+    Raises:
+        ConfigError: there is no report in the folder, the page has no such lines, or matplotlib is missing.
+    """
+    plots.require_matplotlib()
+    reports: dict[str, list[tuple[str, dict[str, Any]]]] = {kind: [] for kind in _TITLES}
+    said: list[str] = []
+    for path in sorted(data.glob("*.json")):
+        try:
+            read = read_report(path)
+        except ConfigError:
+            said.append(f"{path.name}: has no figures, left out")
+            continue
+        if read.get("kind") in reports:
+            reports[read["kind"]].append((path.stem, read))
+            said.append(f"{path.name}: {read['kind']}")
+        else:
+            said.append(f"{path.name}: of another kind, left out")
+    if not any(reports.values()):
+        raise ConfigError(
+            f"{data}: holds no report of {', '.join(_TITLES)}; run `gibson-sim bench table1 --json {data}/table1_cpu.json`"
+        )
+    before, after = _around(output)
+    images.mkdir(parents=True, exist_ok=True)
+    links = Path(os.path.relpath(images, output.parent)).as_posix(), Path(os.path.relpath(data, output.parent)).as_posix()
+    parts = summary([table_of(read) for _, read in reports["table1"]])
+    for kind, title in _TITLES.items():
+        if reports[kind]:
+            parts.append(f"## {title}")
+            for name, read in reports[kind]:
+                parts.append(f"### {name.replace('_', ' ')}\n\n[All figures]({links[1]}/{name}.json).")
+                parts += _SECTIONS[kind](name, read, images, links[0])
+    write_file(output, f"{before}{BEGIN}\n\n{joined(parts)}\n\n{END}{after}")
+    return [*said, f"written: {output}"]
+
+
+def joined(parts: list[str]) -> str:
+    """Returns paragraphs as a page has them."""
+    return "\n\n".join(part.strip() for part in parts)
+
+
+def _around(page: Path) -> tuple[str, str]:
+    """Returns what stands before and after the figures in a page; a page that is not there has nothing else."""
+    if not page.is_file():
+        return "# Benchmarks\n\n", "\n"
+    text = page.read_text(encoding="utf-8")
+    before, begun, rest = text.partition(BEGIN)
+    _, ended, after = rest.partition(END)
+    if not (begun and ended):
+        raise ConfigError(
+            f"{page}: has no lines {BEGIN} and {END}; put them where the figures are to stand, or name another file"
+        )
+    return before, after
+
+
+def _table1(name: str, read: Mapping[str, Any], images: Path, link: str) -> list[str]:
+    report = table_of(read)
+    plots.plot_table1(report, images / f"bench_{name}.png")
+    return [f"![Frames a second by row, way and substeps]({link}/bench_{name}.png)", table1_text(report, markdown=True)]
+
+
+def _peers(name: str, read: Mapping[str, Any], images: Path, link: str) -> list[str]:
+    fields = {key: read[key] for key in ("date", "version", "machine", "cores", "load", "contestants", "fov_y_deg", "frames")}
+    rows = tuple(RenderRow(**{**row, "outputs": tuple(row["outputs"])}) for row in read["rows"])
+    return [render_text(Report(**fields, rows=rows, left_out=tuple(read["left_out"])), markdown=True)]
+
+
+def _scaling(name: str, read: Mapping[str, Any], images: Path, link: str) -> list[str]:
+    report = scaling.report_of(dict(read))
+    plots.plot_scaling(report, images / f"bench_{name}.png")
+    return [f"![Time and memory against what grows]({link}/bench_{name}.png)", scaling_text(report, markdown=True)]
+
+
+def _soak(name: str, read: Mapping[str, Any], images: Path, link: str) -> list[str]:
+    report = soak.report_of(dict(read))
+    plots.plot_soak(report, images / f"bench_{name}.png")
+    return [f"![Memory and rates over time]({link}/bench_{name}.png)", soak_text(report, markdown=True)]
+
+
+_SECTIONS: dict[str, Callable[[str, Mapping[str, Any], Path, str], list[str]]] = {
+    "table1": _table1,
+    "peers": _peers,
+    "scaling": _scaling,
+    "soak": _soak,
+}
+
+
+def summary(tables: list[Table1]) -> list[str]:
+    """Returns what is fast and what is not, machine by machine, from the figures alone."""
+    found = []
+    for report in tables:
+        rows = [row for row in report.rows if row.to == HOST and row.bounds]
+        if not rows:
+            continue
+        lines = [f"## In short: {report.facts.gpu or 'no drawing'}, {report.facts.cores} cores", report.facts.text + "."]
+        near, far = [r for r in rows if r.share >= ENOUGH], [r for r in rows if r.share < ENOUGH]
+        lines.append(
+            f"- Of {len(rows)} rows {len(near)} reach {100 * ENOUGH:.0f} % or more of the limit that was measured beside them, {len(far)} do not."
+        )
+        lines += [
+            _sentence(way, [row for row in rows if row.way == way and row.substeps]) for way in (IN_PROCESS, LOCKSTEP, FREE)
+        ]
+        found.append("\n".join((lines[0], "", lines[1], "", *lines[2:])))
+    return found
+
+
+def _sentence(way: str, rows: list[Row]) -> str:
+    """Returns what a way is best and worst at."""
+    if not rows:
+        return f"- {way.capitalize()}: not measured."
+    pictures = [row for row in rows if row.mode != SENSOR_ONLY]
+    by: dict[str, int] = {}
+    for row in rows:
+        by[row.bound_by] = by.get(row.bound_by, 0) + 1
+    bounds = ", ".join(f"{name} in {count}" for name, count in sorted(by.items(), key=lambda pair: -pair[1]))
+    quick, slow = max(rows, key=lambda r: r.fps), min(rows, key=lambda r: r.fps)
+    worst = min(rows, key=lambda r: r.share)
+    rest = (
+        f" With pictures {min(r.fps for r in pictures):,.0f} to {max(r.fps for r in pictures):,.0f} frames/s." if pictures else ""
+    )
+    return (
+        f"- {way.capitalize()}: from {slow.fps:,.0f} frames/s ({slow.mode}, {_substeps(slow)}) to {quick.fps:,.0f} ({quick.mode}, "
+        f"{quick.substeps}).{rest} The largest part alone is {bounds}; farthest from its limit: {worst.mode} with {_substeps(worst)}, "
+        f"{100 * worst.share:.0f} %."
+    )
+
+
+def _substeps(row: Row) -> str:
+    return f"{row.substeps} substep{'' if row.substeps == 1 else 's'}"

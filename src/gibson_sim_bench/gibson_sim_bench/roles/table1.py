@@ -1,0 +1,225 @@
+"""Roles of ``gibson-sim bench table1`` and ``bench soak``: one who drives and looks while time runs freely; and messages alone."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import rclpy
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+from rclpy.node import Node
+from sensor_msgs.msg import Image
+
+from gibson_msgs.msg import SceneState as RosSceneState
+from gibson_sim.bags.stamps import stamp_ns
+from gibson_sim.ros import conversions
+from gibson_sim.ros.nodes.node_main import make_executor
+from gibson_sim.ros.topics import names, qos
+from gibson_sim.ros.wire.fast_publish import FastSceneState, image_to_bytes
+from gibson_sim.types import NS_PER_S, WORLD_FRAME, SceneState
+from gibson_sim_bench.protocol import SETTLE_S, STEP_HZ, Commands
+from gibson_sim_bench.roles.waiting import settle, wait_until, waiter_of
+
+STATE, PICTURE = "gibson_sim_bench/state", "gibson_sim_bench/picture"
+WARM_UP = 20
+"""Exchanges that do not count."""
+FREE_WARM_UP_S = 0.5
+_PIXELS: dict[str, tuple[str, type[np.generic], tuple[int, ...]]] = {
+    "rgb": ("rgb8", np.uint8, (3,)),
+    "depth": ("32FC1", np.float32, ()),
+    "semantic": ("16UC1", np.uint16, ()),
+    "instance": ("16UC1", np.uint16, ()),
+    "normal": ("32FC3", np.float32, (3,)),
+    "normal_world": ("32FC3", np.float32, (3,)),
+    "position": ("32FC3", np.float32, (3,)),
+    "flow": ("32FC2", np.float32, (2,)),
+}
+"""Encoding, type and numbers a pixel of the image of each output."""
+
+
+class Eyes:
+    """Takes the images of one row after the other, as bytes, and counts sets: all images of one stamp."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._subscriptions: list[Any] = []
+        self._stamps: dict[str, int] = {}
+        self.sets: list[int] = []
+        """When each set was whole, steady clock, nanoseconds."""
+
+    def look_at(self, topics: Sequence[str]) -> None:
+        """Listens to these topics and no others."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        self._stamps = dict.fromkeys(topics, -1)
+        self.sets = []
+        self._subscriptions = [
+            self._node.create_subscription(Image, topic, partial(self._on_image, topic), qos.SENSOR, raw=True) for topic in topics
+        ]
+
+    @property
+    def oldest_ns(self) -> float:
+        """Stamp up to which all images have come; infinite without topics."""
+        return min(self._stamps.values(), default=math.inf)
+
+    def _on_image(self, topic: str, message: bytes) -> None:
+        if topic not in self._stamps:
+            return
+        self._stamps[topic] = stamp_ns(message)
+        if len(set(self._stamps.values())) == 1:
+            self.sets.append(time.monotonic_ns())
+
+
+class Driver:
+    """Publishes the commands of the table."""
+
+    def __init__(self, node: Node, substeps: int) -> None:
+        self._publisher = node.create_publisher(Twist, names.CMD_VEL, qos.COMMAND)
+        self._commands, self._twist = Commands(substeps), Twist()
+
+    def send(self) -> str:
+        """Sends the next command; returns its topic."""
+        self._twist.linear.x, self._twist.angular.z = self._commands.next()
+        self._publisher.publish(self._twist)
+        return self._publisher.topic_name
+
+
+def table_free(cases: list[list[str]], seconds: float, substeps: int) -> dict[str, Any]:
+    """Looks at the topics of each case for so long, while the simulation runs as fast as it can.
+
+    Returns ``received``: of each case, when its sets were whole; ``ticks``: how many ticks the simulation made meanwhile, by the stamps
+    of the odometry.
+    """
+    node = Node("bench_controller")
+    eyes, driver, ticks, stamps = Eyes(node), Driver(node, substeps), list[int](), list[int]()
+
+    def on_odometry(msg: Odometry) -> None:
+        ticks.append(time.monotonic_ns())
+        stamps.append(conversions.time_from_msg(msg.header.stamp))
+        if len(ticks) % max(1, 24 // substeps) == 0:
+            driver.send()
+
+    node.create_subscription(Odometry, names.ODOM, on_odometry, qos.STATE)
+    waiter = make_executor()
+    waiter.add_node(node)
+    wait_until(lambda: bool(stamps) and stamps[-1] >= SETTLE_S * NS_PER_S, waiter, progress=lambda: len(ticks))
+    found: dict[str, Any] = {"received": [], "ticks": []}
+    for topics in cases:
+        eyes.look_at(topics)
+        wait_until(lambda: bool(ticks and (eyes.sets or not topics)), waiter, progress=lambda: len(ticks))  # noqa: B023
+        settle(waiter, FREE_WARM_UP_S)
+        for kept in (ticks, stamps, eyes.sets):
+            kept.clear()
+        settle(waiter, seconds)
+        found["received"].append(list(eyes.sets if topics else ticks))
+        found["ticks"].append(round((stamps[-1] - stamps[0]) / NS_PER_S * STEP_HZ / substeps) + 1 if stamps else 0)
+    return found
+
+
+def soak_listener(topics: list[str], seconds: float, interval: float) -> dict[str, Any]:
+    """Drives in a simulation and listens to it for so long, an interval at a time.
+
+    Returns ``sets``: how many sets of images came in each; ``factors``: simulated seconds in each second of wall time.
+    """
+    node = Node("bench_soak")
+    eyes, driver, stamp = Eyes(node), Driver(node, 4), [0]
+
+    def on_odometry(msg: Odometry) -> None:
+        stamp[0] = conversions.time_from_msg(msg.header.stamp)
+        driver.send()
+
+    node.create_subscription(Odometry, names.ODOM, on_odometry, qos.STATE)
+    waiter = make_executor()
+    waiter.add_node(node)
+    eyes.look_at(topics)
+    wait_until(lambda: bool(eyes.sets and stamp[0]), waiter)
+    found: dict[str, Any] = {"sets": [], "factors": []}
+    for _ in range(max(1, round(seconds / interval))):
+        before, began = stamp[0], time.monotonic()
+        eyes.sets.clear()
+        settle(waiter, interval)
+        found["sets"].append(len(eyes.sets))
+        found["factors"].append((stamp[0] - before) / NS_PER_S / (time.monotonic() - began))
+    return found
+
+
+def exchange_back(outputs: list[list[str]]) -> None:
+    """Answers each set of pictures with a state, until the process is ended; pictures and states are bytes."""
+    node = Node("bench_exchange_back")
+    publisher = node.create_publisher(RosSceneState, STATE, qos.STATE)
+    answer = FastSceneState(WORLD_FRAME, 1).serialize(_state(1), ())
+    missing: dict[int, int] = {}
+
+    def on_picture(case: int, count: int, _: bytes) -> None:
+        missing[case] = missing.get(case, count) - 1
+        if not missing[case]:
+            missing[case] = count
+            publisher.publish(answer)
+
+    for case, names_of in enumerate(outputs):
+        for k in range(max(1, len(names_of))):
+            here = partial(on_picture, case, max(1, len(names_of)))
+            node.create_subscription(Image, f"{PICTURE}_{case}_{k}", here, qos.SENSOR, raw=True)
+    waiter = make_executor()
+    waiter.add_node(node)
+    while rclpy.ok():
+        waiter.spin_once(timeout_sec=0.5)
+
+
+def exchange(outputs: list[list[str]], width: int, height: int, bodies: int, count: int) -> dict[str, Any]:
+    """Sends sets of pictures, each when the one before was answered by a state, and does nothing else.
+
+    Returns ``rows``: of each set of outputs the milliseconds, medians, of ``convert`` (a state to bytes and back), ``encode``
+    (pictures to bytes), ``publish`` and ``transport`` (until the answer is there). No outputs = a picture of one pixel.
+    """
+    node = Node("bench_exchange")
+    answers: list[Any] = []
+    subscription = node.create_subscription(RosSceneState, STATE, answers.append, qos.STATE, raw=True)
+    waiter = waiter_of("events", node, subscription)
+    return {
+        "rows": [_exchanged(node, waiter, answers, k, kinds, (width, height), bodies, count) for k, kinds in enumerate(outputs)]
+    }
+
+
+def _exchanged(
+    node: Node, waiter: Any, answers: list[Any], case: int, kinds: list[str], size: tuple[int, int], bodies: int, count: int
+) -> dict[str, float]:
+    pictures = [_picture(kind, size) for kind in kinds] or [("rgb8", np.zeros((1, 1, 3), dtype=np.uint8))]
+    publishers = [node.create_publisher(Image, f"{PICTURE}_{case}_{k}", qos.SENSOR) for k in range(len(pictures))]
+    wait_until(lambda: all(p.get_subscription_count() for p in publishers) and bool(node.count_publishers(STATE)), waiter)
+    settle(waiter, 0.2)
+    state, fast = _state(bodies), FastSceneState(WORLD_FRAME, bodies)
+    received = conversions.scene_state_to_msg(state, (0,))
+    found = []
+    for number in range(count + WARM_UP):
+        began = time.perf_counter_ns()
+        fast.serialize(state, (0,))
+        conversions.scene_state_from_msg(received, state.links)
+        made = time.perf_counter_ns()
+        messages = [image_to_bytes(pixels, encoding, number, "camera") for encoding, pixels in pictures]
+        encoded = time.perf_counter_ns()
+        for publisher, message in zip(publishers, messages, strict=True):
+            publisher.publish(message)
+        published = time.perf_counter_ns()
+        wait_until(lambda: bool(answers), waiter)
+        came = time.perf_counter_ns()
+        answers.clear()
+        found.append((made - began, encoded - made, published - encoded, came - published))
+    medians = np.median(np.array(found[WARM_UP:]), axis=0) / 1e6
+    return dict(zip(("convert", "encode", "publish", "transport"), np.round(medians, 5).tolist(), strict=True))
+
+
+def _picture(kind: str, size: tuple[int, int]) -> tuple[str, NDArray[Any]]:
+    encoding, number, channels = _PIXELS[kind]
+    return encoding, np.zeros((size[1], size[0], *channels), dtype=number)
+
+
+def _state(bodies: int) -> SceneState:
+    links = tuple(f"body_{i}/base" for i in range(bodies))
+    return SceneState(0, 0, 1, links, *(np.zeros((bodies, width)) for width in (3, 4, 6)))

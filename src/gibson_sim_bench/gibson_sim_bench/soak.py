@@ -1,0 +1,134 @@
+"""Long runs: environment steps in this process, and what a free-running simulation did meanwhile. Memory, rates and files must stay.
+
+Pure but for ``environment_steps``; the processes of the other half are started by ``gibson_sim_bench.cli.soak``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from gibson_sim.tasks.controls import Controls
+from gibson_sim.tasks.registry import task_of
+from gibson_sim.tasks.run import CONTROL_HZ, TaskRun
+from gibson_sim_bench.memory import drift, growth, open_files, resident_mb
+from gibson_sim_bench.ros import without_nan
+from gibson_sim_bench.timing import Facts
+
+TASK = "point-goal"
+ALLOWED_GROWTH_MB, ALLOWED_DRIFT, ALLOWED_FILES = 16.0, 0.1, 4
+"""Between the first and the last third after the warm-up: memory of a process; part of a rate; open files, or files on disk."""
+
+
+@dataclass(slots=True)
+class Samples:
+    """What was seen of something that runs, again and again."""
+
+    seconds: list[float] = field(default_factory=list)
+    """Wall time since the begin."""
+    values: dict[str, list[float]] = field(default_factory=dict)
+    """By name: ``... MB``, ``... files``, ``... /s``."""
+
+    def add(self, seconds: float, **values: float) -> None:
+        """Takes what is seen now; every call has the same names, with ``_`` for spaces."""
+        self.seconds.append(round(seconds, 2))
+        for name, value in values.items():
+            self.put(name.replace("_", " "), value)
+
+    def put(self, name: str, value: float) -> None:
+        """Takes one value."""
+        self.values.setdefault(name, []).append(round(value, 3))
+
+    def problems(self) -> list[str]:
+        """Returns what grew, or drifted, more than is allowed."""
+        found = []
+        for name, values in self.values.items():
+            if name.endswith("MB") and growth(values) > ALLOWED_GROWTH_MB:
+                found.append(f"{name}: {growth(values):+.1f}")
+            if name.endswith("files") and growth(values) > ALLOWED_FILES:
+                found.append(f"{name}: {growth(values):+.1f}")
+            if name.endswith("/s") and abs(drift(values) - 1.0) > ALLOWED_DRIFT:
+                found.append(f"{name}: {100 * (drift(values) - 1.0):+.0f} %")
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class SoakReport:
+    """All that was seen, and where."""
+
+    facts: Facts
+    steps: int
+    """Environment steps in this process."""
+    episodes: int
+    environment: Samples
+    seconds: float
+    """Wall time of the free-running simulation."""
+    images: int
+    """That its subscriber received: sets of RGB and depth."""
+    running: Samples
+
+    def as_json(self) -> dict[str, Any]:
+        """Returns the report as JSON's types; what was not measured is null."""
+        figures = []
+        for part, samples in (("environment", self.environment), ("running", self.running)):
+            for name, values in samples.values.items():
+                unit = name.rpartition(" ")[2]
+                better = "more" if unit == "/s" else "less"
+                middle = float(np.median(values)) if values else 0.0
+                figures.append({"name": f"{part}: {name}", "value": middle, "unit": unit, "better": better})
+        found: dict[str, Any] = without_nan({"kind": "soak", **asdict(self), "problems": self.problems, "figures": figures})
+        return found
+
+    @property
+    def problems(self) -> list[str]:
+        """What grew or drifted."""
+        return [*self.environment.problems(), *self.running.problems()]
+
+
+def report_of(read: dict[str, Any]) -> SoakReport:
+    """Returns a report from its JSON."""
+    names = ("steps", "episodes", "seconds", "images")
+    return SoakReport(
+        Facts(**read["facts"]),
+        environment=Samples(**read["environment"]),
+        running=Samples(**read["running"]),
+        **{name: read[name] for name in names},
+    )
+
+
+def environment_steps(
+    count: int, samples: int = 50, task: str = TASK, tell: Callable[[str], None] = lambda line: None
+) -> tuple[Samples, int]:
+    """Makes so many environment steps with random actions, and returns what was seen and how many episodes began.
+
+    Args:
+        count: steps of a tenth of a second of simulation time each.
+        samples: how often to look.
+        task: its name.
+        tell: is told in one line what is going on.
+    """
+    found, episodes = Samples(), 1
+    rng = np.random.default_rng(0)
+    began = time.perf_counter()
+    with TaskRun(task_of(task)) as run:
+        controls = Controls(run.robot, 1.0 / CONTROL_HZ)
+        controls.begin(run.reset(0))
+        block = max(1, count // samples)
+        for first in range(0, count, block):
+            steps, passed = min(block, count - first), 0.0
+            for _ in range(steps):
+                if run.over:
+                    controls.begin(run.reset(episodes))
+                    episodes += 1
+                action = controls.action(rng.uniform(-1.0, 1.0, controls.size), run.view)
+                here = time.perf_counter()
+                run.step(action)
+                passed += time.perf_counter() - here
+            values = {"environment_MB": resident_mb(), "open_files": open_files(), "environment_steps_/s": steps / passed}
+            found.add(time.perf_counter() - began, **values)
+            tell(f"{first + steps:,} steps, {values['environment_steps_/s']:,.0f}/s, {values['environment_MB']:.0f} MB")
+    return found, episodes

@@ -1,0 +1,283 @@
+"""The paper's table in this process: physics, sensors and pictures, one after the other, each stage timed; and drawing alone.
+
+Protocol: our differential robot of a TurtleBot's size with one camera, 90 degrees; physics steps of 1/240 s; wheel commands that are
+drawn anew ten times a second of simulation time, from one seed; frames before the first that counts; a frame counts once all that was
+asked for lies in the host's memory, or in tensors that are waited for.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gibson_sim.physics.engine import pybullet
+from gibson_sim.render.cache import default_folder
+from gibson_sim.render.context import gl as GL
+from gibson_sim.render.readback.frames import Readback
+from gibson_sim.render.renderer import Renderer
+from gibson_sim.scenes.load import load_scene
+from gibson_sim.scenes.scene_meshes import scene_roots
+from gibson_sim.scenes.spec import DrawnScene, drawn_scene
+from gibson_sim.types import OUTPUTS, CameraSpec, Frame, SceneState
+from gibson_sim_bench import timing
+from gibson_sim_bench.clocks import Clock, calls_of, copy_ms, opengl_calls
+from gibson_sim_bench.loop import Loop
+from gibson_sim_bench.measured.scenes import bench_scene, camera_path
+from gibson_sim_bench.ours import STILL, pose_of
+from gibson_sim_bench.protocol import BLOCK, FOV_Y_DEG, HOUSE_MODES, HOUSES_ONLY, ROBOT, WARM_UP, WAYS, Plan
+from gibson_sim_bench.reports.paper import HOUSE_SIZE, MODES, PHYSICS_SIZE, Mode
+from gibson_sim_bench.rows import BULLET, COPY, HOST, IN_PROCESS, OPENGL, TENSOR, Row, Table1, lockstep_row, row_of
+from gibson_sim_bench.tensors import synchronize
+
+
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """Simulations in lockstep, whose ticks come in turns with the frames in this process."""
+
+    start: Callable[[int, Sequence[Mode]], AbstractContextManager[Callable[[int, int], Sequence[float]]]]
+    """Runs one for modes with so many substeps. What it yields makes ticks of one of the modes: (which, how many) to the seconds that each of
+    them took, or to nothing where that failed."""
+    messages: Mapping[str, Mapping[str, float]]
+    """Milliseconds of each mode's messages alone."""
+
+
+def measure(plan: Plan, robot: Path, tell: Callable[[str], None] = lambda line: None, beside: Beside | None = None) -> Table1:
+    """Returns what was measured in this process, and beside it.
+
+    Args:
+        plan: what to measure.
+        robot: file of the robot, as ``write_robot`` writes it.
+        tell: is told in one line what is going on.
+        beside: what gives the rows in lockstep; None = there are none.
+
+    Raises:
+        GibsonSimError: a scene cannot be loaded, or nothing here can draw.
+    """
+    began = timing.facts()
+    rows: list[Row] = []
+    with ExitStack() as stack:
+        loop = Loop(plan.scene, robot, 1)
+        stack.callback(loop.close)
+        drawn = drawn_scene(loop.world.scene, loop.world.links)
+        pair = Pair(drawn, plan.device, None, stack)
+        if IN_PROCESS in plan.ways:
+            for substeps, pictures in ((k, d) for k in plan.substeps for d in (False, True)):
+                modes = [mode for mode in MODES if bool(mode.outputs) == pictures]
+                with ExitStack() as running:
+                    ticks = running.enter_context(beside.start(substeps, modes)) if beside else None
+                    for which, mode in enumerate(modes):
+                        tell(f"{'in process and in lockstep' if ticks else 'in process'}: {mode.name}, {substeps} substeps")
+                        other = partial(ticks, which) if ticks else None
+                        rows += _with_physics(
+                            plan, robot, substeps, mode, pair, other, beside.messages[mode.name] if beside else {}
+                        )
+        info, tensors_on = pair.plain.info, pair.plain.tensors_on
+    for house in plan.houses if HOUSES_ONLY in plan.ways else ():
+        tell(f"drawing only: {house}")
+        rows += _house(plan, house)
+    facts = replace(began, gpu=str(info["renderer"]), driver=str(info["version"]))
+    in_order = sorted(rows, key=lambda row: WAYS.index(row.way))
+    return Table1(facts, f"{ROBOT}, {FOV_Y_DEG:g} degrees", tensors_on, tuple(in_order))
+
+
+class Pair:
+    """Two renderers of a scene: one as it is, one whose OpenGL calls are timed."""
+
+    def __init__(self, scene: DrawnScene, device: int | str | None, roots: list[Path] | None, stack: ExitStack) -> None:
+        options: dict[str, Any] = {"device": device, "cache": default_folder(), "allowed_roots": roots}
+        self.plain = stack.enter_context(Renderer(scene, **options))
+        self.clock: Clock = stack.enter_context(opengl_calls())
+        self._timed = stack.enter_context(Renderer(scene, **options))
+        self._readback = Readback(self._timed.context)
+        self._finish = GL.Gl(self._timed.context).glFinish
+        self.triangles = int(self.plain.info["triangles"])
+
+    def apart(self, state: SceneState, camera: CameraSpec) -> tuple[Frame, float, float, float]:
+        """Returns a frame, and the milliseconds of drawing it, of reading it back, and of OpenGL itself while drawing."""
+        self.clock.take()
+        began = time.perf_counter_ns()
+        ((target, shots, _),) = self._timed.drawn(state, [camera])
+        self._finish()
+        drawn = time.perf_counter_ns()
+        opengl = self.clock.take()
+        (frame,) = self._readback.frames(target, shots)
+        return frame, (drawn - began) / 1e6, (time.perf_counter_ns() - drawn) / 1e6, opengl
+
+
+def _with_physics(
+    plan: Plan,
+    robot: Path,
+    substeps: int,
+    mode: Mode,
+    pair: Pair,
+    other: Callable[[int], Sequence[float]] | None,
+    messages: Mapping[str, float],
+) -> Iterable[Row]:
+    """Returns the rows of a mode: to the host, in lockstep where ``other`` makes ticks of it, and for the fewest substeps to tensors."""
+    loop = Loop(plan.scene, robot, substeps)
+    try:
+        loop.settle()
+        camera = camera_of(loop.world.scene.robots[0].cameras[0], mode)
+        frames = plan.frames if mode.outputs else plan.sensor_frames
+        warm_up = max(WARM_UP, frames // 10)
+
+        def state() -> SceneState:
+            loop.step()
+            return loop.read()
+
+        def to_host() -> None:
+            here = state()
+            if camera is not None:
+                pair.plain.render(here, [camera])
+
+        def to_tensors() -> None:
+            assert camera is not None
+            synchronize(pair.plain.render_tensors(state(), [camera]))
+
+        common: dict[str, Any] = {"way": IN_PROCESS, "mode": mode.name, "scene": plan.scene, "triangles": pair.triangles}
+        common |= {"width": PHYSICS_SIZE[0], "height": PHYSICS_SIZE[1], "substeps": substeps}
+        with calls_of(pybullet, "stepSimulation") as engine:
+            parts = Parts(loop, camera, pair, engine)
+            times, ticks = in_turns(to_host, parts.measure, frames, warm_up, other)
+        stages, bounds = parts.result()
+        here = row_of(times, to=HOST, stages=stages, bounds=bounds, **common)
+        yield here
+        if ticks:
+            yield lockstep_row(ticks, here, messages)
+        if camera is not None and substeps == min(plan.substeps):
+            yield row_of(seconds_of(to_tensors, frames, warm_up), to=TENSOR, bounds=bounds, **common)
+    finally:
+        loop.close()
+
+
+def camera_of(camera: CameraSpec, mode: Mode) -> CameraSpec | None:
+    """Returns the camera with the outputs of a mode; None where it has none."""
+    return replace(camera, outputs=mode.outputs) if mode.outputs else None
+
+
+def seconds_of(work: Callable[[], Any], count: int, warm_up: int) -> list[float]:
+    """Returns how long each of ``count`` calls took, seconds, after others that do not count."""
+    found = []
+    for _ in range(count + warm_up):
+        began = time.perf_counter()
+        work()
+        found.append(time.perf_counter() - began)
+    return found[warm_up:]
+
+
+def in_turns(
+    whole: Callable[[], Any],
+    apart: Callable[[], Any],
+    count: int,
+    warm_up: int,
+    other: Callable[[int], Sequence[float]] | None = None,
+) -> tuple[list[float], list[float]]:
+    """Returns how long each of ``count`` calls of ``whole`` took, and each of ``other``; blocks of them and of ``apart`` come in turns.
+
+    So whatever else the machine does hits the frames and what they are held against alike.
+
+    Args:
+        whole: makes a frame.
+        apart: makes one whose parts are measured.
+        count: of calls of ``whole`` that count.
+        warm_up: of calls before them.
+        other: makes so many frames another way, and returns the seconds that each took.
+    """
+    found, others = seconds_of(whole, 0, warm_up), list[float]()
+    if other is not None:
+        other(warm_up)
+    while len(found) < count:
+        for _ in range(BLOCK // 3 + 1):
+            apart()
+        block = min(BLOCK, count - len(found))
+        found += seconds_of(whole, block, 1)
+        if other is not None:
+            others += other(block)
+    return found, others
+
+
+class Parts:
+    """The stages of a frame, each waited for, and what of them is Bullet's and OpenGL's."""
+
+    def __init__(self, loop: Loop, camera: CameraSpec | None, pair: Pair, engine: Clock) -> None:
+        self._loop, self._camera, self._pair, self._engine = loop, camera, pair, engine
+        self._found: list[dict[str, float]] = []
+        self._bytes = 0
+
+    def measure(self) -> None:
+        """Makes one frame."""
+        self._engine.take()
+        began = time.perf_counter_ns()
+        self._loop.step()
+        stepped = time.perf_counter_ns()
+        state = self._loop.read()
+        values = {
+            "step": (stepped - began) / 1e6,
+            "convert": (time.perf_counter_ns() - stepped) / 1e6,
+            BULLET: self._engine.take(),
+        }
+        if self._camera is not None:
+            frame, values["draw"], values["read back"], values[OPENGL] = self._pair.apart(state, self._camera)
+            self._bytes = bytes_of(frame)
+        self._found.append(values)
+
+    def result(self) -> tuple[dict[str, float], dict[str, float]]:
+        """Returns the milliseconds of each stage, medians, and those of its parts alone."""
+        every = self._found[2:] or self._found
+        found = {name: float(np.median([values[name] for values in every])) for name in every[0]}
+        return parted({**found, **({COPY: copy_ms(self._bytes)} if self._bytes else {})})
+
+
+def parted(values: Mapping[str, float]) -> tuple[dict[str, float], dict[str, float]]:
+    """Returns stages and limits apart, rounded."""
+    alone = (BULLET, OPENGL, COPY)
+    rounded = {name: round(value, 5) for name, value in values.items()}
+    return {n: v for n, v in rounded.items() if n not in alone}, {n: v for n, v in rounded.items() if n in alone}
+
+
+def bytes_of(frame: Frame) -> int:
+    """Returns how much memory the images of a frame take."""
+    return sum(image.nbytes for output in OUTPUTS if (image := getattr(frame, output)) is not None)
+
+
+def _house(plan: Plan, name: str) -> Iterable[Row]:
+    """Returns the rows of drawing a house, no physics, along a fixed way."""
+    scene = bench_scene(name)
+    spec = load_scene(scene.path)
+    width, height = HOUSE_SIZE
+    path = [pose_of(T.ravel().tolist()) for T in camera_path(scene, plan.frames)]
+    for mode in HOUSE_MODES:
+        with ExitStack() as stack:
+            pair = Pair(drawn_scene(spec, ()), plan.device, list(scene_roots(spec)), stack)
+            fov_y = math.radians(FOV_Y_DEG)
+            cameras = [
+                CameraSpec("eye", "", pose, width, height, fov_y, near=0.05, far=100.0, outputs=mode.outputs) for pose in path
+            ]
+            several = iter(cameras * 2)
+            every = iter(cameras[:WARM_UP] + cameras * 2)
+            found: list[tuple[Frame, float, float, float]] = []
+            times, _ = in_turns(
+                lambda: pair.plain.render(STILL, [next(every)]),  # noqa: B023
+                lambda: found.append(pair.apart(STILL, next(several))),  # noqa: B023
+                len(cameras),
+                len(cameras[:WARM_UP]),
+            )
+            draw, back, opengl = np.median([values[1:] for values in found[2:]], axis=0).tolist()
+            stages, bounds = parted({"draw": draw, "read back": back, OPENGL: opengl, COPY: copy_ms(bytes_of(found[0][0]))})
+            common: dict[str, Any] = {"way": IN_PROCESS, "mode": mode.name, "scene": name, "triangles": pair.triangles}
+            common |= {"width": width, "height": height, "substeps": 0, "bounds": bounds}
+            yield row_of(times, to=HOST, stages=stages, **common)
+            every = iter(cameras[:WARM_UP] + cameras)
+
+            def tensors() -> None:
+                synchronize(pair.plain.render_tensors(STILL, [next(every)]))  # noqa: B023
+
+            yield row_of(seconds_of(tensors, len(cameras), len(cameras[:WARM_UP])), to=TENSOR, **common)

@@ -1,0 +1,100 @@
+"""``gibson-sim scene import``: other people's scenes as scenes of ours."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gibson_sim.cli.parser import ExitCode
+from gibson_sim.cli.quiet import quiet
+from gibson_sim.errors import ConfigError
+
+if TYPE_CHECKING:
+    from gibson_sim.formats.mesh import UpAxis
+    from gibson_sim_tools.importing.run import Choices
+
+
+def add_parser(subparsers: Any) -> None:
+    """Adds the sub-command."""
+    parser = subparsers.add_parser(
+        "import",
+        help="make a scene.yaml of a Gibson or Replica folder, a Habitat or other mesh, a Gazebo or Drake world, a USD file, or an archive",
+        description="docs/importing.md says what is read of each format.",
+    )
+    parser.add_argument("source", type=Path, metavar="SOURCE", help="file, folder or archive (.zip, .tar.gz)")
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR",
+        help="new folder for the scene.yaml and a copy of all files (default: scene.yaml beside the source, nothing is copied)",
+    )  # fmt: skip
+    add_choices(parser)
+    parser.set_defaults(run=_run)
+
+
+def add_choices(parser: argparse.ArgumentParser) -> None:
+    """Adds what the user may say of a source."""
+    parser.add_argument("--name", default="", help="of the scene (default: that of the source)")
+    parser.add_argument(
+        "--up-axis",
+        metavar="UP",
+        help="axis of the file that is up, x, y or z; of a single mesh also -y or a direction, as 0.1,0.3,0.9 (default: as its format or its "
+        "floor says)",
+    )
+    parser.add_argument(
+        "--unit", metavar="UNIT", help="of the file: m, cm, mm, inch, foot, km, or metres per unit (default: as its format says)"
+    )
+    parser.add_argument("--no-semantics", action="store_true", help="leave labels out; the scene is one object")
+
+
+def chosen(args: argparse.Namespace) -> Choices:
+    """Returns what the user says of a source.
+
+    Raises:
+        ConfigError: the unit is unknown, or the axis is none.
+    """
+    from gibson_sim_tools.importing.gravity import direction
+    from gibson_sim_tools.importing.run import Choices
+
+    axis: UpAxis | None = args.up_axis if args.up_axis in ("x", "y", "z") else None
+    up = direction(args.up_axis, "--up-axis") if args.up_axis is not None and axis is None else None
+    return Choices(args.name, axis, up, unit_m(args.unit), not args.no_semantics)
+
+
+def unit_m(text: str | None) -> float | None:
+    """Returns metres per unit, or None where nothing was said.
+
+    Raises:
+        ConfigError: the unit is unknown.
+    """
+    from gibson_sim_tools.importing.gravity import UNITS
+
+    if text is None:
+        return None
+    if text in UNITS:
+        return UNITS[text]
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 1e-6 <= value <= 1e6:
+        raise ConfigError(
+            f"--unit {text}: is unknown; give one of {', '.join(UNITS)}, or metres per unit as a number from 1e-6 to 1e6"
+        )
+    return value
+
+
+@quiet()
+def _run(args: argparse.Namespace) -> ExitCode:
+    # Loaded here: the other sub-commands need no meshes.
+    from gibson_sim_tools.importing.facts import scene_facts
+    from gibson_sim_tools.importing.run import import_scene
+
+    choices = chosen(args)
+    imported = import_scene(args.source, args.output, choices)
+    for warning in imported.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    print(f"{imported.file}: from a {imported.kind}")
+    print(scene_facts(imported.scene).text())
+    print(f"next: gibson-sim scene check {imported.file.parent}; gibson-sim run --scene {imported.file.parent}")
+    return ExitCode.OK

@@ -1,0 +1,129 @@
+"""``gibson-sim scene inspect`` and ``check``: what is in a scene, what will go wrong with it, and mending what can be mended."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gibson_sim.cli.parser import ExitCode
+from gibson_sim.cli.quiet import quiet
+from gibson_sim.errors import ConfigError, SceneError
+from gibson_sim_tools.cli.importing import unit_m
+
+if TYPE_CHECKING:
+    from gibson_sim.types import Vec3
+    from gibson_sim_tools.importing.check import Report
+
+_MOST_ALIKE = 3
+
+
+def add_parser(subparsers: Any) -> None:
+    """Adds both sub-commands."""
+    inspect = subparsers.add_parser("inspect", help="print what is in a scene: sizes, triangles, textures, floors, classes")
+    inspect.set_defaults(run=_inspect)
+    check = subparsers.add_parser(
+        "check", help="tell what will go wrong with a scene; exit code 1 if there is something",
+        description="Errors and warnings count; notes do not. docs/importing.md explains each finding.",
+    )  # fmt: skip
+    for parser in (inspect, check):
+        parser.add_argument("scene", metavar="SCENE", help="name, folder or file of a scene")
+        parser.add_argument("--json", action="store_true", help="as JSON")
+    check.add_argument("--fix", action="store_true", help="write a mended copy into --output and check that")
+    check.add_argument("--output", type=Path, metavar="DIR", help="new folder of the mended copy")
+    check.add_argument(
+        "--max-texture", type=int, default=8192, metavar="PX", help="--fix: longest side of textures (default: 8192)"
+    )
+    check.add_argument("--no-level", action="store_true", help="--fix: leave the scene turned as it is")
+    check.add_argument(
+        "--up", metavar="UP",
+        help="--fix: which way is about up in the scene, where that is not found: an axis, as y or -y, or a direction, as 0.1,0.3,0.9",
+    )  # fmt: skip
+    check.add_argument(
+        "--unit", metavar="UNIT", help="--fix: what the lengths are in: m, cm, mm, inch, foot, km, or metres per unit"
+    )
+    check.set_defaults(run=_check)
+
+
+@quiet()
+def _report(scene: str) -> Report:
+    from gibson_sim_tools.importing.check import check_path
+    from gibson_sim_tools.importing.sources import Kind, identify
+
+    path = Path(scene).expanduser()
+    if path.exists() and "/" in str(path):
+        kind = identify(path).kind
+        if kind in (Kind.GIBSON, Kind.REPLICA, Kind.USD, Kind.ARCHIVE):
+            raise SceneError(f"{scene}: is a {kind.value}; import it first: gibson-sim scene import {scene} --output DIR")
+    return check_path(scene)
+
+
+def _inspect(args: argparse.Namespace) -> ExitCode:
+    report = _report(args.scene)
+    if report.facts is None:
+        print(report.findings[0].line())
+        return ExitCode.ERROR
+    if args.json:
+        print(json.dumps(report.facts.json(), indent=2))
+        return ExitCode.OK
+    print(report.facts.text())
+    _print_lines(report)
+    return ExitCode.OK
+
+
+def _check(args: argparse.Namespace) -> ExitCode:
+    if args.fix and args.output is None:
+        raise ConfigError("--fix writes a mended copy: say with --output DIR where")
+    if not args.fix and (args.output is not None or args.unit is not None or args.up is not None):
+        raise ConfigError("--output, --unit and --up are for --fix: add it, or leave them out")
+    if args.up is not None and args.no_level:
+        raise ConfigError("--up turns the scene and --no-level leaves it as it is: give one of them")
+    if not 64 <= args.max_texture <= 16384:
+        raise ConfigError(f"--max-texture is {args.max_texture}, must be 64 to 16384 pixels")
+    factor = unit_m(args.unit)
+    up = _up(args.up)
+    report = _report(args.scene)
+    if not args.fix:
+        _print(report, args.json)
+        return ExitCode.OK if report.clean else ExitCode.ERROR
+    from gibson_sim_tools.importing.fix import Fix, fix_scene
+
+    if not args.json:
+        _print(report, False)
+    file, mended = fix_scene(report, args.output, Fix(factor, args.max_texture, not args.no_level, up))
+    if not args.json:
+        unclear = any(finding.what == "up-unclear" for finding in mended.findings)
+        print(f"{'not sure which way is up, so the scene is not turned' if unclear else 'mended'}: {file}")
+    _print(mended, args.json)
+    return ExitCode.OK if mended.clean else ExitCode.ERROR
+
+
+def _up(text: str | None) -> Vec3 | None:
+    from gibson_sim_tools.importing.gravity import direction
+
+    return None if text is None else direction(text)
+
+
+def _print(report: Report, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps(report.json(), indent=2))
+        return
+    _print_lines(report)
+    faults = sum(finding.level != "note" for finding in report.findings)
+    fixable = sum(finding.fixable and finding.level != "note" for finding in report.findings)
+    name = "" if report.facts is None else f"{report.facts.name}: "
+    print(f"{name}{'clean' if report.clean else f'{faults} findings, {fixable} of them mended by --fix'}")
+
+
+def _print_lines(report: Report) -> None:
+    """Prints findings; of many of one kind, such as furniture with open undersides, the first ones and their number."""
+    shown: dict[tuple[str, str], int] = {}
+    for finding in report.findings:
+        kind = (finding.level, finding.what)
+        shown[kind] = shown.get(kind, 0) + 1
+        if shown[kind] <= _MOST_ALIKE:
+            print(finding.line())
+    for (level, what), count in shown.items():
+        if count > _MOST_ALIKE:
+            print(f"{level:>7}  {what}: and {count - _MOST_ALIKE} more like these; --json has them all")

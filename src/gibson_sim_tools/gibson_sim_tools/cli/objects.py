@@ -1,0 +1,48 @@
+"""``gibson-sim scene objects``: makes our own objects, with Blender."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from gibson_sim.cli.parser import ExitCode
+from gibson_sim.picture_files import write_picture
+
+
+def add_parser(subparsers: Any) -> None:
+    """Adds the sub-command."""
+    parser = subparsers.add_parser(
+        "objects", help="make our own objects: meshes, URDFs and, if asked for, a picture of all of them"
+    )
+    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="make these alone (default: all)")
+    parser.add_argument("--output", default="scenes/objects", metavar="DIR", help="where to (default: scenes/objects)")
+    parser.add_argument(
+        "--blender-python", default="", metavar="FILE", help="a Python that has Blender, `pip install bpy` (default: this one)"
+    )
+    parser.add_argument("--picture", default="", metavar="FILE", help="write a picture of them: a PNG")
+    parser.add_argument("--picture-only", action="store_true", help="make nothing, show what is in --output: needs no Blender")
+    parser.add_argument("--table", action="store_true", help="make nothing, print sizes, masses and joints as a table")
+    parser.set_defaults(run=_run)
+
+
+def _run(args: argparse.Namespace) -> ExitCode:
+    # Loaded here: the other sub-commands need none of it.
+    from gibson_sim_tools.making.objects.program import chosen, default_blender_python, make_objects
+    from gibson_sim_tools.making.objects.table import objects_table
+
+    models, output = chosen(args.only), Path(args.output)
+    if args.table:
+        print(objects_table(models))
+        return ExitCode.OK
+    if not args.picture_only:
+        make_objects(args.only, output, args.blender_python or default_blender_python(), print)
+    if args.picture or args.picture_only:
+        from gibson_sim_tools.making.objects.sheet import sheet
+
+        path = Path(args.picture or "objects.png")
+        write_picture(path, sheet(output, models)[:, :, ::-1], (cv2.IMWRITE_PNG_COMPRESSION, 9))
+        print(path)
+    return ExitCode.OK

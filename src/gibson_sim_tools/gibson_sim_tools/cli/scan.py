@@ -1,0 +1,151 @@
+"""``gibson-sim scene scan`` and ``gibson-sim scene fuse``: a simulated scanner, and meshes from posed RGB-D."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from gibson_sim.bags.progress import progress_bar
+from gibson_sim.cli.options import add_settings, given, settings_from_args
+from gibson_sim.cli.parser import ExitCode
+from gibson_sim.cli.report_file import write_json
+from gibson_sim.errors import ConfigError
+from gibson_sim_tools.scanning.settings import PRESETS, Defects, FuseSettings, ScanCamera, TourSettings
+
+_PARTS: dict[str, type[Any]] = {"way": TourSettings, "camera": ScanCamera, "defects": Defects}
+
+
+def add_parser(subparsers: Any) -> None:
+    """Adds the sub-commands."""
+    _add_scan(subparsers)
+    _add_fuse(subparsers)
+
+
+def _add_scan(subparsers: Any) -> None:
+    parser = subparsers.add_parser(
+        "scan",
+        help="scan a scene: posed RGB-D images with the defects of real scanners",
+        description="Turns a rig of cameras around at the fewest places that see nearly everything, and on the way between them, and writes "
+        "colour images, depth images and poses. An interrupted scan goes on where it stopped when the same command runs again.",
+    )
+    parser.add_argument("scene", help="name, folder or file of a scene")
+    parser.add_argument(
+        "--output", required=True, metavar="DIR", help="folder of the scan; new, empty, or the begin of the same scan"
+    )
+    parser.add_argument(
+        "--preset",
+        default="kinect",
+        choices=tuple(PRESETS),
+        help="defects and rig; single options replace parts of it (default: kinect)",
+    )
+    for title, part in _PARTS.items():
+        add_settings(parser.add_argument_group(title), part, _names(part))
+    parser.set_defaults(run=_scan)
+
+
+def _add_fuse(subparsers: Any) -> None:
+    parser = subparsers.add_parser(
+        "fuse",
+        help="make a mesh with vertex colours of posed RGB-D: of our scans, and of Open3D, 7-Scenes and TUM folders",
+        description="Needs Open3D: pip install 'gibson_sim_tools[scanning]'.",
+    )
+    parser.add_argument("folder", metavar="DIR", help="folder of posed RGB-D; its layout is found out")
+    parser.add_argument("--output", required=True, metavar="FILE", help="the mesh, .ply")
+    parser.add_argument("--intrinsics", metavar="FX,FY,CX,CY", help="of the camera, pixels, in place of those of the folder")
+    parser.add_argument(
+        "--depth-scale", type=float, metavar="X", help="units of the depth images in a metre, in place of those of the layout"
+    )
+    parser.add_argument("--compare", metavar="SCENE", help="measure the mesh against this scene, which was scanned")
+    parser.add_argument("--report", metavar="FILE", help="write what was measured as JSON")
+    add_settings(parser, FuseSettings, _names(FuseSettings))
+    parser.set_defaults(run=_fuse)
+
+
+def _scan(args: argparse.Namespace) -> ExitCode:
+    # Loaded here: the other sub-commands need neither OpenGL nor physics.
+    from gibson_sim.render.cache import default_folder
+    from gibson_sim.scenes.load import load_scene
+    from gibson_sim_tools.scanning.capture import ScanSettings, scan
+
+    tour, camera, defects = (_chosen(part, args) for part in _PARTS.values())
+    folder = Path(args.output)
+    with progress_bar(f"scanning {args.scene}") as progress:
+        plan = scan(
+            load_scene(args.scene), folder, ScanSettings(tour, camera, defects), cache=default_folder(), progress=progress
+        )
+    images = len(plan.views) * len(tour.pitches)
+    print(
+        f"{folder}: {images} images from {len(plan.views)} views, {plan.stations} stations; "
+        f"the stations see {100.0 * plan.coverage:.1f} % of the surface that can be seen from free places"
+    )
+    return ExitCode.OK
+
+
+def _fuse(args: argparse.Namespace) -> ExitCode:
+    from gibson_sim.scenes.load import load_scene
+    from gibson_sim_tools.scanning.coloured_mesh import write_ply
+    from gibson_sim_tools.scanning.comparison import compare
+    from gibson_sim_tools.scanning.fusion import chosen_frames, distances, fuse, open3d
+    from gibson_sim_tools.scanning.layouts import open_posed_rgbd
+
+    output = Path(args.output)
+    if output.suffix.lower() != ".ply":
+        raise ConfigError(f"--output {output}: must end in .ply")
+    open3d()  # before any work
+    rgbd = open_posed_rgbd(Path(args.folder), focal=_focal(args.intrinsics), depth_scale=args.depth_scale)
+    for warning in rgbd.warnings:
+        print(f"gibson-sim: {rgbd.folder}: {warning}", file=sys.stderr)
+    scene = load_scene(args.compare) if args.compare else None
+    settings = settings_from_args(FuseSettings, args)
+    frames = chosen_frames(rgbd, settings)
+    named = f"{len(frames)} frames" if len(frames) == len(rgbd) else f"{len(frames)} of {len(rgbd)} frames"
+    with progress_bar(f"fusing {named} ({rgbd.layout})") as progress:
+        mesh = fuse(rgbd, settings, progress)
+    write_ply(output, mesh)
+    print(
+        f"{output}: {len(mesh.triangles)} triangles, {len(mesh.vertices)} vertices, {mesh.area:.1f} m2, from {named} ({rgbd.layout})"
+    )
+    report: dict[str, Any] = {
+        "frames": len(frames), "triangles": len(mesh.triangles), "vertices": len(mesh.vertices), "area_m2": mesh.area,
+    }  # fmt: skip
+    if scene is not None:
+        with progress_bar("comparing") as progress:
+            found = compare(mesh, rgbd, scene, distances, progress, frames=frames)
+        report = {**report, **found.as_dict()}
+        for name, d in (("mesh to scene", found.mesh_to_scene), ("scene to mesh", found.scene_to_mesh)):
+            print(f"{name}: median {d.median_mm:.1f} mm, mean {d.mean_mm:.1f}, 95 % below {d.p95_mm:.1f}, at most {d.max_mm:.1f}")
+        print(
+            f"images show {100.0 * found.shown:.1f} % of all solid surfaces; the mesh has {100.0 * found.covered:.1f} % of these within 5 cm"
+        )
+    print(f"next: gibson-sim scene check {output} tells holes, islands of floor that gaps cut off, and what is out of level")
+    write_json(Path(args.report) if args.report else None, report)
+    return ExitCode.OK
+
+
+def _focal(text: str | None) -> tuple[float, float, float, float] | None:
+    """Returns fx, fy, cx, cy of an option.
+
+    Raises:
+        ConfigError: it is something else.
+    """
+    if text is None:
+        return None
+    try:
+        fx, fy, cx, cy = (float(word) for word in text.split(","))
+    except ValueError as error:
+        raise ConfigError(f"--intrinsics is {text!r}, must be fx,fy,cx,cy: four numbers, pixels") from error
+    return fx, fy, cx, cy
+
+
+def _names(part: type[Any]) -> list[str]:
+    return [f.name for f in fields(part)]
+
+
+def _chosen(part: type[Any], args: argparse.Namespace) -> Any:
+    """Returns settings: what was given as options, else as the preset has it, else the default."""
+    names = _names(part)
+    preset = {name: value for name, value in PRESETS[args.preset].items() if name in names}
+    return part(**{**preset, **given(args, names)})

@@ -1,0 +1,69 @@
+"""``gibson-sim scene view``: pictures of a scene without a display."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from gibson_sim.cli.parser import ExitCode
+from gibson_sim.cli.quiet import quiet
+from gibson_sim.errors import ConfigError
+from gibson_sim.picture_files import write_picture
+from gibson_sim.scenes.load import load_scene
+
+MOST_VIEWS = 22
+
+
+def add_parser(subparsers: Any) -> None:
+    """Adds the sub-command."""
+    parser = subparsers.add_parser(
+        "view",
+        help="write one picture: views at eye height from free places, from above, and the floor map",
+        description="Writes one picture of a scene: views at eye height from free places, from above, and the floor map. Of several "
+        "scenes: a row of views of each.",
+    )
+    parser.add_argument("scene", metavar="SCENE", nargs="+", help="name, folder or file of a scene")
+    parser.add_argument(
+        "--output", type=Path, metavar="FILE", help="the picture, .png or .jpg (default: NAME_view.png, of the first)"
+    )
+    parser.add_argument("--views", type=int, default=4, metavar="N", help="views at eye height (default: 4)")
+    parser.add_argument(
+        "--floor",
+        type=int,
+        default=None,
+        metavar="N",
+        help="number of the floor, 0 = the lowest (default: the one of the starts); for one scene",
+    )
+    parser.add_argument(
+        "--width", type=int, default=0, metavar="PX", help="scale the sheet to this width (default: 640 pixels a picture)"
+    )
+    parser.set_defaults(run=_run)
+
+
+@quiet()
+def _run(args: argparse.Namespace) -> ExitCode:
+    # Loaded here: the other sub-commands need no OpenGL.
+    from gibson_sim_tools.importing.views import contact_sheet, gallery_of_scenes
+
+    if not 1 <= args.views <= MOST_VIEWS:
+        raise ConfigError(f"--views is {args.views}, must be 1 to {MOST_VIEWS}")
+    scenes = [load_scene(name) for name in args.scene]
+    scene = scenes[0]
+    if len(scenes) > 1:
+        if args.floor is not None:
+            raise ConfigError("--floor is for one scene: of several, all floors are shown; name one scene, or leave it out")
+        picture = gallery_of_scenes(scenes, args.views)
+    else:
+        if args.floor is not None and not 0 <= args.floor < len(scene.floors):
+            raise ConfigError(f"--floor is {args.floor}, scene {scene.name!r} has floors 0 to {len(scene.floors) - 1}")
+        picture = contact_sheet(scene, args.views, floor_z=None if args.floor is None else scene.floors[args.floor])
+    if args.width:
+        height = round(picture.shape[0] * args.width / picture.shape[1])
+        picture = cv2.resize(picture, (args.width, height), interpolation=cv2.INTER_AREA)  # type: ignore[assignment]
+    path = args.output or Path(f"{scene.name}_view.png")
+    write_picture(path, picture[:, :, ::-1])
+    print(path)
+    return ExitCode.OK

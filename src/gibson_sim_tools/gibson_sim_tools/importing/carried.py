@@ -1,0 +1,135 @@
+"""What a finished scene carries beside its meshes: rooms, maps, free poses, licence, thumbnail. What is missing, and what no longer fits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gibson_sim.errors import SceneError
+from gibson_sim.geometry.rasterise import clip_to_slab
+from gibson_sim.maps.export import FLOORS
+from gibson_sim.maps.floor_map import FLOOR_CLEARANCE
+from gibson_sim.maps.free_poses import FREE_POSES, FreePose, scene_free_poses
+from gibson_sim.maps.traversability import scene_triangles
+from gibson_sim.scenes.load import DESCRIPTION
+from gibson_sim.scenes.spec import SceneSpec
+
+F64 = NDArray[np.float64]
+
+
+def clearances(corners: ArrayLike, places: ArrayLike, low: float, high: float, *, reach: float = 1.0) -> F64:
+    """Returns the level distance, metres, from places to the nearest triangle between two heights, (N,); at most ``reach``.
+
+    Args:
+        corners: (F, 3, 3), world frame, metres.
+        places: (N, 2), world x, y.
+        low: what is lower is no obstacle, metres.
+        high: nor is what is higher.
+        reach: metres.
+    """
+    triangles = np.asarray(corners, dtype=np.float64).reshape(-1, 3, 3)
+    between = (triangles[:, :, 2].max(axis=1) > low) & (triangles[:, :, 2].min(axis=1) < high)
+    polygons = clip_to_slab(triangles[between], low, high)
+    points = np.asarray(places, dtype=np.float64).reshape(-1, 2)
+    out = np.full(len(points), reach)
+    first, last = polygons.min(axis=1), polygons.max(axis=1)
+    for number, point in enumerate(points):
+        near = ((first < point + reach) & (last > point - reach)).all(axis=1)
+        if near.any():
+            out[number] = min(reach, float(_distances(polygons[near], point).min()))
+    return out
+
+
+def _distances(polygons: F64, point: F64) -> F64:
+    """Returns the distances (P,) of convex polygons (P, K, 2), corners repeated, from a point (2,); 0 in them."""
+    edges = np.roll(polygons, -1, axis=1) - polygons
+    to = point - polygons
+    length = np.einsum("pki,pki->pk", edges, edges)
+    along = np.clip(np.einsum("pki,pki->pk", to, edges) / np.maximum(length, 1e-30), 0.0, 1.0)
+    distance = np.linalg.norm(to - along[:, :, None] * edges, axis=2).min(axis=1)
+    side = edges[:, :, 0] * to[:, :, 1] - edges[:, :, 1] * to[:, :, 0]
+    inside = ((side >= 0).all(axis=1) | (side <= 0).all(axis=1)) & (np.abs(side).max(axis=1) > 0)
+    return np.asarray(np.where(inside, 0.0, distance))
+
+
+THUMBNAIL = "thumbnail.jpg"
+_SLACK = 0.001
+"""Metres: heights and places in the files are rounded."""
+
+
+def missing(scene: SceneSpec) -> list[str]:
+    """Returns what a scene of ours lacks, in words; nothing of one that has no scene.yaml."""
+    if not (scene.root / DESCRIPTION).is_file():
+        return []
+    files = [*(f"floor_trav_{number}.png" for number in range(len(scene.floors))), FLOORS, FREE_POSES, "LICENSE", THUMBNAIL]
+    return [*([] if scene.rooms else [f"rooms in {DESCRIPTION}"]), *(name for name in files if not (scene.root / name).is_file())]
+
+
+def is_begun(scene: SceneSpec) -> bool:
+    """Returns whether somebody has begun to finish a scene: others need none of all that."""
+    return bool(scene.rooms) or any((scene.root / name).is_file() for name in (FREE_POSES, THUMBNAIL))
+
+
+def out_of_date(scene: SceneSpec, radius: float, height: float) -> Iterator[str]:
+    """Yields what its maps and free poses say that is not so, in words.
+
+    Args:
+        scene: as it was loaded.
+        radius: of a robot that must have room at every free pose, metres.
+        height: of that robot.
+    """
+    yield from _floors(scene)
+    try:
+        poses = scene_free_poses(scene)
+    except SceneError as error:
+        yield str(error)
+        return
+    beyond = sum(pose.floor >= len(scene.floors) for pose in poses)
+    if beyond:
+        yield f"{FREE_POSES}: {beyond} poses lie on floors that the scene has not: it has {len(scene.floors)}"
+    elsewhere = sum(_room(scene, pose) != pose.room for pose in poses)
+    if elsewhere:
+        yield f"{FREE_POSES}: {elsewhere} of {len(poses)} poses lie in another room than it says"
+    blocked = int(np.sum(free_distances(scene, poses, height) < radius - _SLACK))
+    if blocked:
+        yield f"{FREE_POSES}: {blocked} of {len(poses)} poses are not free for a robot of radius {radius:g} m"
+
+
+def free_distances(
+    scene: SceneSpec, poses: Sequence[FreePose], height: float
+) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    """Returns metres from poses to the nearest thing, bodies too, up to a robot's height, (N,); at most 1; 1 on floors that are not there."""
+    out = np.ones(len(poses))
+    if not poses:
+        return out
+    corners = scene_triangles(scene)
+    numbers = np.array([pose.floor for pose in poses])
+    places = np.array([(pose.x, pose.y) for pose in poses])
+    for number, floor_z in enumerate(scene.floors):
+        here = numbers == number
+        out[here] = clearances(corners, places[here], floor_z + FLOOR_CLEARANCE, floor_z + height)
+    return out
+
+
+def _floors(scene: SceneSpec) -> Iterator[str]:
+    path = scene.root / FLOORS
+    if not path.is_file():
+        return
+    try:
+        heights = sorted(float(word) for word in path.read_text(encoding="utf-8").split())
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        yield f"{FLOORS}: cannot be read: {error}"
+        return
+    if len(heights) != len(scene.floors) or any(abs(a - b) > _SLACK for a, b in zip(heights, scene.floors, strict=True)):
+        yield f"{FLOORS}: has floors at {_text(heights)} m, the scene at {_text(scene.floors)} m"
+
+
+def _room(scene: SceneSpec, pose: FreePose) -> str:
+    room = scene.room_at(pose.x, pose.y, pose.floor)
+    return "" if room is None else room.name
+
+
+def _text(heights: Sequence[float]) -> str:
+    return ", ".join(f"{z:g}" for z in heights) or "no heights"

@@ -1,0 +1,308 @@
+"""A scene on its way into our own format: what the importers make, and the folder that is written of it."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from gibson_sim.errors import SceneError
+from gibson_sim.formats.load_mesh import MeshLoader
+from gibson_sim.formats.mesh import Mesh
+from gibson_sim.geometry.transforms import matrix_from_pose
+from gibson_sim.scenes.load import DESCRIPTION
+from gibson_sim.scenes.room_spec import RoomSpec
+from gibson_sim.types import Pose, Rgba, Vec3
+from gibson_sim.writing import cannot_write, write_file
+from gibson_sim_tools.importing.glb import write_glb
+from gibson_sim_tools.importing.left_out import LEFT_OUT, left_out_text
+
+ASSETS = "assets"
+"""Folder of meshes and textures in what is written."""
+BAKED_LIGHT: Mapping[str, Any] = {"sun": 0.0, "ambient": 1.0}
+"""Of scans: the light of the room is in their textures."""
+
+
+SIMPLIFIED = "simplified"
+"""Collision of a scan: flat floors, and fewer triangles."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImportedObject:
+    """One object of a scene.yaml."""
+
+    name: str
+    shape: Path | Mesh | Mapping[str, Any]
+    """A mesh file; a mesh that is to be written as GLB (z up, metres); or keys of a primitive."""
+    pose: Pose = field(default_factory=Pose)
+    scale: Vec3 = (1.0, 1.0, 1.0)
+    up_axis: str = ""
+    """Empty = as the file says."""
+    unit_m: float | None = None
+    """None = as the file says."""
+    semantic_class: str = ""
+    color: Rgba | None = None
+    collision: Path | Mesh | str = "same"
+    """``same``, ``none``, ``simplified``, or a mesh in the frame of the shape."""
+    visible: bool = True
+    """False = it is solid, and not drawn."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FloorPicture:
+    """A map that came with a scene, beside our own ones, which are made of its triangles."""
+
+    file: Path
+    resolution: float
+    """Metres per pixel."""
+    number: int
+    """Of its floor, from the lowest."""
+
+
+@dataclass(slots=True, eq=False)
+class ImportedScene:
+    """What an importer found."""
+
+    name: str
+    kind: str
+    """What it was, in words: ``Gibson folder``."""
+    root: Path
+    """Folder that all its files lie in."""
+    objects: list[ImportedObject] = field(default_factory=list)
+    description: str = ""
+    light: Mapping[str, Any] = field(default_factory=dict)
+    floors: tuple[float, ...] = ()
+    """Heights from the lowest, metres; empty = found by whoever loads it."""
+    ground_z: float | None = None
+    gravity: Vec3 | None = None
+    rooms: tuple[RoomSpec, ...] = ()
+    starts: list[dict[str, Any]] = field(default_factory=list)
+    maps: list[FloorPicture] = field(default_factory=list)
+    licences: list[Path] = field(default_factory=list)
+    """Files that say who made it and what is allowed."""
+    warnings: list[str] = field(default_factory=list)
+    home: Path | None = None
+    """Folder that a scene.yaml beside the source goes to; None = that of the source."""
+    loader: MeshLoader | None = None
+    """One that has read the meshes already, so that they need not be read again."""
+
+
+@contextmanager
+def new_folder(output: Path) -> Iterator[Path]:
+    """Yields an empty folder beside ``output`` that takes its name once the block ends well; nothing is left where it does not.
+
+    Raises:
+        SceneError: there is something at ``output`` already, or it cannot be written.
+    """
+    if output.exists() and (not output.is_dir() or any(output.iterdir())):
+        raise SceneError(f"{output}: is there already and not empty; give another folder with --output, or delete it first")
+    try:
+        output.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{output.name}.", dir=output.parent))
+    except OSError as e:
+        raise cannot_write(output, e) from e
+    try:
+        yield temporary
+        temporary.chmod(0o755)
+        if output.exists():
+            output.rmdir()
+        temporary.rename(output)
+    except OSError as e:
+        raise cannot_write(output, e) from e
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def write_scene(scene: ImportedScene, output: Path) -> Path:
+    """Writes a scene with all its files into a new folder and returns the scene.yaml.
+
+    Raises:
+        SceneError: the folder is not empty, or a file cannot be read or written.
+    """
+    with new_folder(output) as folder:
+        writer = _Writer(scene.root, folder, scene.loader)
+        document = scene_document(scene, writer)
+        write_file(folder / DESCRIPTION, document)
+        writer.maps(scene.maps, scene.floors)
+        for licence in scene.licences:
+            shutil.copyfile(licence, folder / licence.name)
+        _write_left_out(scene, folder)
+    return output / DESCRIPTION
+
+
+def _write_left_out(scene: ImportedScene, folder: Path) -> None:
+    text = left_out_text(scene.warnings)
+    if text:
+        write_file(folder / LEFT_OUT, text)
+
+
+def scene_document(scene: ImportedScene, writer: Placer) -> str:
+    """Returns the text of the scene.yaml; ``writer`` says where the files are, and puts them there."""
+    names: dict[str, int] = {}
+    document: dict[str, Any] = {"name": scene.name}
+    document["description"] = scene.description or f"Imported from a {scene.kind}"
+    if scene.gravity is not None:
+        document["gravity"] = [_short(c) for c in scene.gravity]
+    if scene.ground_z is not None:
+        document["ground_z"] = _short(scene.ground_z)
+    if len(scene.floors) == 1:
+        document["floor_z"] = _short(scene.floors[0])
+    elif scene.floors:
+        document["floors"] = [_short(z) for z in scene.floors]
+    if scene.rooms:
+        document["rooms"] = [
+            {"name": r.name, "class": r.room_class, "floor": r.floor, "polygon": [[_short(x), _short(y)] for x, y in r.polygon]}
+            for r in scene.rooms
+        ]
+    if scene.light:
+        document["light"] = dict(scene.light)
+    if scene.starts:
+        document["starts"] = scene.starts
+    document["objects"] = [_object(item, writer, names) for item in scene.objects]
+    head = f"# Written by: gibson-sim scene import (from a {scene.kind})\n"
+    return head + yaml.safe_dump(document, sort_keys=False, default_flow_style=None, allow_unicode=True, width=140)
+
+
+def _object(item: ImportedObject, writer: Placer, names: dict[str, int]) -> dict[str, Any]:
+    names[item.name] = names.get(item.name, 0) + 1
+    name = item.name if names[item.name] == 1 else f"{item.name}_{names[item.name]}"
+    out: dict[str, Any] = {"name": name}
+    if isinstance(item.shape, Mapping):
+        out.update(item.shape)
+    else:
+        out["mesh"] = writer.mesh(item.shape, name)
+    if item.pose != Pose():
+        matrix = matrix_from_pose(item.pose)
+        out["pose"] = {"xyz": [_short(c) for c in item.pose.position], "rpy_deg": rpy_deg(matrix)}
+    if item.scale != (1.0, 1.0, 1.0) and not isinstance(item.shape, Mapping):
+        out["scale"] = [float(c) for c in item.scale]
+    for key in ("up_axis", "unit_m", "semantic_class"):
+        if getattr(item, key):
+            out[key] = getattr(item, key)
+    if not item.visible:
+        out["visible"] = False
+    if item.color is not None:
+        out["color"] = [_short(c) for c in item.color]
+    if isinstance(item.collision, str):
+        if item.collision != "same":
+            out["collision"] = item.collision
+    else:
+        out["collision"] = writer.mesh(item.collision, f"{name}_collision")
+    return out
+
+
+class Placer:
+    """Says where a mesh lies that a scene.yaml names. This one leaves files where they are; new meshes go below ``folder``.
+
+    Args:
+        root: folder that the files of the source lie in.
+        folder: the one of the scene.yaml.
+    """
+
+    def __init__(self, root: Path, folder: Path) -> None:
+        self._root = Path(os.path.realpath(root))
+        self._folder = folder
+        self._taken: set[str] = set()
+
+    def mesh(self, shape: Path | Mesh, name: str) -> str:
+        """Returns the path of a mesh, relative to the scene.yaml; one that is no file becomes one."""
+        if isinstance(shape, Mesh):
+            return self._written(shape, name)
+        return self._file(Path(os.path.realpath(shape)), name)
+
+    def _file(self, path: Path, name: str) -> str:
+        return path.relative_to(self._root).as_posix()
+
+    def _written(self, mesh: Mesh, name: str) -> str:
+        base = file_name(name)
+        relative = f"{ASSETS}/{base}.glb"
+        number = 1
+        while relative in self._taken:
+            number += 1
+            relative = f"{ASSETS}/{base}_{number}.glb"
+        self._taken.add(relative)
+        (self._folder / ASSETS).mkdir(exist_ok=True)
+        write_glb(self._folder / relative, mesh)
+        return relative
+
+
+class _Writer(Placer):
+    """Copies every file that a mesh needs, at the same place below ``assets`` as it has below the root of the source."""
+
+    def __init__(self, root: Path, folder: Path, loader: MeshLoader | None) -> None:
+        super().__init__(root, folder)
+        self._loader = loader or MeshLoader((self._root,), textures=False)
+
+    def _file(self, path: Path, name: str) -> str:
+        if not path.is_relative_to(self._root):
+            return self._written(MeshLoader((path.parent.parent,)).mesh(path), name)
+        files = self._loader.mesh(path).files
+        if not all(file.is_relative_to(self._root) for file in files):
+            return self._written(MeshLoader((self._root,)).mesh(path), name)
+        for file in files:
+            target = self._folder / ASSETS / file.relative_to(self._root)
+            if not target.exists():
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(file, target)
+        relative = f"{ASSETS}/{path.relative_to(self._root).as_posix()}"
+        self._taken.add(relative)
+        return relative
+
+    def maps(self, maps: Sequence[FloorPicture], floors: Sequence[float]) -> None:
+        """Writes maps that came with the scene as those of Nav2: an image and a YAML file each."""
+        from gibson_sim_tools.importing.floor_pictures import write_nav2_map
+
+        for picture in maps:
+            height = floors[picture.number] if picture.number < len(floors) else 0.0
+            write_nav2_map(picture, height, self._folder / "maps")
+
+
+def write_in_place(scene: ImportedScene, folder: Path) -> Path:
+    """Writes a scene.yaml into the folder of the source, whose files stay where they are, and returns it.
+
+    Raises:
+        SceneError: there is one already, or a file of the scene lies elsewhere.
+    """
+    path = folder / DESCRIPTION
+    if path.exists():
+        raise SceneError(f"{path}: is there already; give another folder with --output, or delete it first")
+    real = Path(os.path.realpath(folder))
+    outside = [
+        o.shape for o in scene.objects if isinstance(o.shape, Path) and not Path(os.path.realpath(o.shape)).is_relative_to(real)
+    ]
+    if outside:
+        raise SceneError(
+            f"{outside[0]}: lies outside {folder}, where the scene.yaml would go; give --output FOLDER to copy all files"
+        )
+    write_file(path, scene_document(scene, Placer(folder, folder)))
+    _write_left_out(scene, folder)
+    return path
+
+
+def rpy_deg(matrix: Any) -> list[float]:
+    """Returns roll, pitch and yaw, degrees, of a rotation or transform: ``R = Rz(yaw) Ry(pitch) Rx(roll)``."""
+    r = np.asarray(matrix, dtype=np.float64)
+    pitch = -np.arcsin(np.clip(r[2, 0], -1.0, 1.0))
+    if abs(r[2, 0]) > 1.0 - 1e-12:
+        roll, yaw = 0.0, np.arctan2(-r[0, 1], r[1, 1])
+    else:
+        roll, yaw = np.arctan2(r[2, 1], r[2, 2]), np.arctan2(r[1, 0], r[0, 0])
+    return [_short(float(np.degrees(angle))) for angle in (roll, pitch, yaw)]
+
+
+def file_name(name: str) -> str:
+    """Returns a name that every file system takes."""
+    return re.sub(r"[^A-Za-z0-9_.-]+", "_", name).strip("._")[:80] or "object"
+
+
+def _short(value: float) -> float:
+    return round(float(value), 9) + 0.0

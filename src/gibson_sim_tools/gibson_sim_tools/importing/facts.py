@@ -1,0 +1,204 @@
+"""What is in a scene: sizes, triangles, materials, textures, floors, classes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.description.shapes import VisualSpec
+from gibson_sim.formats.load_mesh import MeshLoader
+from gibson_sim.formats.mesh import Mesh, TextureSource, merge
+from gibson_sim.geometry.transforms import matrix_from_pose, transform_points
+from gibson_sim.reading import is_file
+from gibson_sim.scenes.load import DESCRIPTION
+from gibson_sim.scenes.scene_meshes import scene_roots
+from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.types import Vec3
+from gibson_sim_tools.importing.gravity import ON_ITS_SIDE_DEG, UpGuess, direction_text, guess_unit, guess_up
+
+F64 = NDArray[np.float64]
+_MOST_LISTED = 12
+UNTOLD_SUFFIXES = (".ply", ".obj", ".stl")
+"""Of files whose format does not say which axis is up."""
+_SAME_TURN = 1e-6
+"""Entries of rotation matrices that differ by more are of two turns."""
+
+
+@dataclass(frozen=True, slots=True)
+class TextureFacts:
+    """One image."""
+
+    name: str
+    width: int
+    height: int
+    memory_mb: float
+    """Decoded, without smaller levels."""
+
+
+@dataclass(frozen=True, slots=True)
+class SceneFacts:
+    """Plain numbers; metres."""
+
+    name: str
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    objects: int
+    triangles: int
+    collision_triangles: int
+    materials: int
+    vertex_colors: bool
+    textures: tuple[TextureFacts, ...]
+    """The largest first."""
+    up_axis: str
+    """Of the scene, the one nearest to up: z, unless it lies on its side; "" = not clear."""
+    up: tuple[float, float, float]
+    """Unit vector across its floors; z where up is not clear."""
+    tilt_deg: float
+    """Of its floor against level; 0 where up is not clear."""
+    unit: str
+    """In which it has the size of a room or a building; "" = none."""
+    floors: tuple[float, ...]
+    classes: dict[str, int]
+    """Objects of each class."""
+    bodies: int
+    starts: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def upright(self) -> bool:
+        """Whether z is up, nearly: a map can be made of it."""
+        return self.up_axis == "z" and self.up[2] > 0.0
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """Along x, y, z."""
+        x, y, z = (h - low for h, low in zip(self.high, self.low, strict=True))
+        return x, y, z
+
+    def json(self) -> dict[str, Any]:
+        """Returns everything as plain values."""
+        return {**asdict(self), "size": list(self.size)}
+
+    def text(self) -> str:
+        """Returns a table for people."""
+        memory = sum(t.memory_mb for t in self.textures)
+        lines = [
+            ("scene", self.name),
+            ("size", " x ".join(f"{s:.2f}" for s in self.size) + " m"),
+            ("from, to", f"({', '.join(f'{c:.2f}' for c in self.low)}) to ({', '.join(f'{c:.2f}' for c in self.high)})"),
+            ("objects", f"{self.objects}, and {self.bodies} that move" if self.bodies else f"{self.objects}"),
+            ("triangles", f"{self.triangles:,} to draw, {self.collision_triangles:,} in collision shapes"),
+            ("materials", f"{self.materials}" + (", with colours of vertices" if self.vertex_colors else "")),
+            ("textures", f"{len(self.textures)}, {memory:.0f} MB in memory"),
+            *(("", f"{t.width} x {t.height}  {Path(t.name).name}") for t in self.textures[:_MOST_LISTED]),
+            *([("", f"and {len(self.textures) - _MOST_LISTED} more")] if len(self.textures) > _MOST_LISTED else []),
+            ("up", f"{direction_text(self.up)}, floor {self.tilt_deg:.2f} degrees out of level" if self.up_axis else "not clear"),
+            ("unit", self.unit or "not clear: it has the size of no room or building in m, cm, mm, inch, foot or km"),
+            ("floors", ", ".join(f"{round(z, 2) + 0.0:.2f}" for z in self.floors) + " m"),
+            ("classes", _classes(self.classes)),
+            ("starts", ", ".join(self.starts) or "the most open place"),
+        ]
+        return "\n".join(f"{name:>10}  {value}" for name, value in lines)
+
+
+def _classes(classes: dict[str, int]) -> str:
+    if not classes:
+        return "none"
+    ordered = sorted(classes.items(), key=lambda item: (-item[1], item[0]))
+    shown = ", ".join(f"{name} {count}" if count > 1 else name for name, count in ordered[:_MOST_LISTED])
+    return shown + (f" and {len(ordered) - _MOST_LISTED} more" if len(ordered) > _MOST_LISTED else "")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Geometry:
+    """Everything of a scene that is drawn, in the world frame; its images are black, of the right size."""
+
+    meshes: tuple[tuple[VisualSpec, Mesh], ...]
+    """World frame."""
+    vertices: F64
+    triangles: NDArray[np.int32]
+
+
+def scene_geometry(scene: SceneSpec) -> Geometry:
+    """Returns what is drawn of a scene.
+
+    Raises:
+        MeshError: a mesh cannot be read.
+    """
+    loader = MeshLoader(scene_roots(scene), textures="sizes")
+    meshes = tuple((v, loader.shape(v.shape)) for v in scene.visuals)
+    placed = [(transform_points(matrix_from_pose(v.pose), m.merged()[0]), m.merged()[1]) for v, m in meshes]
+    vertices, triangles = merge(placed)
+    return Geometry(meshes, vertices, triangles)
+
+
+def scene_facts(scene: SceneSpec, geometry: Geometry | None = None, up: UpGuess | None = None) -> SceneFacts:
+    """Returns what is in a scene.
+
+    Args:
+        scene: as it was loaded.
+        geometry: of ``scene_geometry``; None = read now.
+        up: of ``guess_up``; None = guessed now.
+
+    Raises:
+        MeshError: a mesh cannot be read.
+    """
+    g = geometry or scene_geometry(scene)
+    guess = up or guess_up(g.vertices, g.triangles, former_up(scene), is_told(scene))
+    low, high = (g.vertices.min(axis=0), g.vertices.max(axis=0)) if len(g.vertices) else (np.zeros(3), np.zeros(3))
+    loader = MeshLoader(scene_roots(scene), textures=False)
+    materials = {p.material for _, m in g.meshes for p in m.parts}
+    classes: dict[str, int] = {}
+    for visual in scene.visuals:
+        if visual.semantic_class:
+            classes[visual.semantic_class] = classes.get(visual.semantic_class, 0) + 1
+    x0, y0, z0 = (round(float(c), 4) for c in low)
+    x1, y1, z1 = (round(float(c), 4) for c in high)
+    return SceneFacts(
+        name=scene.name, low=(x0, y0, z0), high=(x1, y1, z1), objects=len(scene.visuals), triangles=len(g.triangles),
+        collision_triangles=sum(loader.shape(c.shape).triangle_count for c in scene.collisions), materials=len(materials),
+        vertex_colors=any(m.colored for m in materials), textures=texture_facts([m for _, m in g.meshes]),
+        up_axis=guess.axis if guess.sure else "", up=guess.up, tilt_deg=round(guess.tilt_deg, 3), unit=guess_unit((high - low).tolist()),
+        floors=tuple(scene.floors), classes=classes, bodies=len(scene.bodies), starts=tuple(s.name for s in scene.starts),
+        warnings=tuple(map(str, scene.warnings)),
+    )  # fmt: skip
+
+
+def is_told(scene: SceneSpec) -> bool:
+    """Returns whether somebody, or the format of its files, says that z is up in a scene: all but a single mesh as scanners write them."""
+    suffixes = [Path(visual.shape.mesh).suffix.lower() for visual in scene.visuals]
+    return is_file(scene.root / DESCRIPTION) or len(suffixes) != 1 or suffixes[0] not in UNTOLD_SUFFIXES
+
+
+def former_up(scene: SceneSpec) -> Vec3 | None:
+    """Returns where z of the meshes points, unit vector, if one turn lays all of them over, as levelling does; else None."""
+    turns = np.array([matrix_from_pose(visual.pose)[:3, :3] for visual in scene.visuals])
+    if not len(turns) or np.abs(turns - turns[0]).max() > _SAME_TURN:
+        return None
+    x, y, z = turns[0, :, 2].tolist()
+    return (x, y, z) if z < np.cos(np.radians(ON_ITS_SIDE_DEG)) else None
+
+
+def textures_of(meshes: Sequence[Mesh]) -> list[TextureSource]:
+    """Returns every image once."""
+    found: dict[int, TextureSource] = {}
+    for mesh in meshes:
+        for part in mesh.parts:
+            m = part.material
+            for texture in (m.texture, m.metallic_roughness_texture, m.normal_texture, m.occlusion_texture, m.emissive_texture):
+                if texture is not None:
+                    found.setdefault(id(texture), texture)
+    return list(found.values())
+
+
+def texture_facts(meshes: Sequence[Mesh]) -> tuple[TextureFacts, ...]:
+    """Returns the images of meshes, the largest first."""
+    facts = [
+        TextureFacts(t.name, t.pixels.shape[1], t.pixels.shape[0], round(t.pixels.size / 2**20, 2)) for t in textures_of(meshes)
+    ]
+    return tuple(sorted(facts, key=lambda t: (-t.memory_mb, t.name)))

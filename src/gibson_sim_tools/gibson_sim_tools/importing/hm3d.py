@@ -1,0 +1,78 @@
+"""Labels of HM3D: ``NAME.semantic.glb`` shows every object in a colour of its own, and ``NAME.semantic.txt`` says which."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import SceneError
+from gibson_sim.formats.mesh import Mesh, MeshPart
+from gibson_sim.quoting import quoted
+from gibson_sim_tools.importing.labels import LabelledFaces
+
+_TOLERANCE = 2
+
+
+def labelled_faces_of_textures(mesh: Mesh, lists: Path) -> tuple[LabelledFaces, dict[int, str]]:
+    """Returns where which object is, and the class of each.
+
+    Args:
+        mesh: the one with colours, textures or colours of vertices; world frame.
+        lists: the text: lines of number, colour (RRGGBB), "class", region.
+
+    Raises:
+        SceneError: the text cannot be read, or no colour of it is on the mesh.
+    """
+    colors, classes = _table(lists)
+    numbers = np.array(list(colors), dtype=np.int64)
+    known = np.array(list(colors.values()), dtype=np.int64).reshape(-1, 3)
+    keys = known @ (65536, 256, 1)
+    order = np.argsort(keys)
+    centres, objects = [], []
+    for part in mesh.parts:
+        seen = _colors(part).astype(np.int64)
+        place = np.clip(np.searchsorted(keys[order], seen @ (65536, 256, 1)), 0, len(keys) - 1)
+        exact = np.abs(known[order][place] - seen).max(axis=1) <= _TOLERANCE
+        centres.append(part.vertices[part.triangles].mean(axis=1, dtype=np.float64)[exact])
+        objects.append(numbers[order][place][exact])
+    faces = LabelledFaces(np.concatenate(centres), np.concatenate(objects))
+    if not len(faces.objects):
+        raise SceneError(
+            f"{lists}: none of its {len(colors)} colours is on the mesh beside it; use --no-semantics, or get both files again"
+        )
+    return faces, classes
+
+
+def _table(path: Path) -> tuple[dict[int, tuple[int, int, int]], dict[int, str]]:
+    colors: dict[int, tuple[int, int, int]] = {}
+    classes: dict[int, str] = {}
+    for row in csv.reader(path.read_text(encoding="utf-8", errors="replace").splitlines()):
+        if len(row) < 3:
+            continue  # the title
+        try:
+            number, color = int(row[0]), bytes.fromhex(row[1].strip())
+        except ValueError as e:
+            raise SceneError(f"{path}: {quoted(','.join(row))} is no number, colour and class ({e}); get the file again") from e
+        colors[number] = (color[0], color[1], color[2])
+        classes[number] = row[2]
+    if not colors:
+        raise SceneError(f"{path}: names no object; get the file again, or use --no-semantics")
+    return colors, classes
+
+
+def _colors(part: MeshPart) -> NDArray[np.uint8]:
+    """Returns the colour in the middle of each triangle, (F, 3)."""
+    if part.colors is not None:
+        return part.colors[part.triangles[:, 0]]
+    texture = part.material.texture
+    if texture is None or part.uvs is None:
+        plain = np.rint(np.array(part.material.base_color[:3]) * 255.0).astype(np.uint8)
+        return np.broadcast_to(plain, (len(part.triangles), 3))
+    rows, columns = texture.pixels.shape[:2]
+    uv = part.uvs[part.triangles].mean(axis=1)
+    x = np.clip((uv[:, 0] % 1.0 * columns).astype(np.int64), 0, columns - 1)
+    y = np.clip((uv[:, 1] % 1.0 * rows).astype(np.int64), 0, rows - 1)
+    return np.asarray(texture.pixels[y, x, :3])

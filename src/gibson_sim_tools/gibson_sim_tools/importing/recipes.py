@@ -1,0 +1,146 @@
+"""Recipes of public scenes: where they come from, what is allowed, and the checksum of every file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+from urllib.parse import quote, urlsplit
+
+from gibson_sim.errors import SceneError, TextError
+from gibson_sim.formats.yaml_map import YamlMap
+from gibson_sim.quoting import quoted
+from gibson_sim.reading import read_yaml_file
+from gibson_sim.resources import find_config, share_folders
+
+FOLDER = "scene_recipes"
+_KEYS = (
+    "name",
+    "title",
+    "made_by",
+    "homepage",
+    "licence",
+    "licence_url",
+    "credit",
+    "base_url",
+    "files",
+    "unpack",
+    "scene",
+    "note",
+)
+_FILE_KEYS = ("sha256", "bytes", "url")
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass(frozen=True, slots=True)
+class RecipeFile:
+    """One file to download."""
+
+    path: str
+    """Below the folder of the scene, with ``/``."""
+    url: str
+    sha256: str
+    bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """How to get a scene."""
+
+    name: str
+    title: str
+    made_by: str
+    homepage: str
+    licence: str
+    licence_url: str
+    credit: str
+    """What its licence wants to be said; empty = nothing."""
+    files: tuple[RecipeFile, ...]
+    unpack: bool
+    """The one file is an archive."""
+    scene: str
+    """What to import: a path below the folder; empty = the folder."""
+    note: str
+
+    @property
+    def bytes(self) -> int:
+        """Of all files."""
+        return sum(file.bytes for file in self.files)
+
+    def text(self) -> str:
+        """Returns what the user must know before."""
+        lines = [
+            ("scene", f"{self.name}: {self.title}"), ("made by", self.made_by), ("from", self.homepage),
+            ("licence", f"{self.licence} ({self.licence_url})"), ("credit", self.credit or "none is asked for"),
+            ("size", f"{self.bytes / 1e6:.1f} MB in {len(self.files)} files"), *([("note", self.note)] if self.note else []),
+        ]  # fmt: skip
+        return "\n".join(f"{name:>8}  {value}" for name, value in lines)
+
+
+def known_recipes() -> dict[str, Path]:
+    """Returns the file of every recipe, by name."""
+    found: dict[str, Path] = {}
+    for share in share_folders():
+        for path in sorted((share / "config" / FOLDER).glob("*.yaml")):
+            found.setdefault(path.stem, path)
+    return found
+
+
+def load_recipe(name: str) -> Recipe:
+    """Returns a recipe: a name under ``config/scene_recipes``, or a file.
+
+    Raises:
+        ConfigError: there is no such recipe.
+        SceneError: a key or a value is wrong.
+    """
+    path = find_config(name, FOLDER)
+    try:
+        document = read_yaml_file(path)
+    except OSError as e:
+        raise SceneError(f"{path}: cannot be read: {e.strerror or e}") from e
+    except TextError as e:
+        raise SceneError(f"{path}: {e}").telling(e.public) from e
+    top = YamlMap(document, str(path), _KEYS)
+    base = top.text("base_url", "")
+    files = top.value("files", None)
+    if not isinstance(files, dict) or not files:
+        raise SceneError(f"{path}: files is {quoted(files)}, must be a mapping of paths to their sha256 and bytes")
+    recipe = Recipe(
+        name=top.text("name", path.stem), title=_needed(top, "title"), made_by=_needed(top, "made_by"), homepage=_needed(top, "homepage"),
+        licence=_needed(top, "licence"), licence_url=_needed(top, "licence_url"), credit=top.text("credit", ""),
+        files=tuple(_file(path, str(key), value, base) for key, value in files.items()),
+        unpack=top.flag("unpack", False), scene=top.text("scene", ""), note=top.text("note", ""),
+    )  # fmt: skip
+    _check_paths(path, [*(file.path for file in recipe.files), *([recipe.scene] if recipe.scene else [])])
+    if recipe.unpack and len(recipe.files) != 1:
+        raise SceneError(f"{path}: unpack is for one archive, but there are {len(recipe.files)} files")
+    return recipe
+
+
+def _needed(top: YamlMap, key: str) -> str:
+    text = top.text(key, "").strip()
+    if not text:
+        raise SceneError(f"{top.where}: {key} is missing; a recipe says who made the scene and what is allowed")
+    return text
+
+
+def _file(recipe: Path, path: str, value: Any, base: str) -> RecipeFile:
+    item = YamlMap(value, f"{recipe}: {path}", _FILE_KEYS)
+    sha256 = item.text("sha256", "")
+    if not _SHA256.fullmatch(sha256):
+        raise SceneError(
+            f"{item.where}: sha256 is {quoted(sha256)}, must be 64 hexadecimal digits; without it nothing is downloaded"
+        )
+    url = item.text("url", "") or f"{base.rstrip('/')}/{quote(path)}"
+    if urlsplit(url).scheme not in ("http", "https"):
+        raise SceneError(f"{item.where}: url is {quoted(url)}, must begin with https:// or http://")
+    return RecipeFile(path, url, sha256, int(item.number("bytes", 0, low=1, high=1e12)))
+
+
+def _check_paths(recipe: Path, paths: Iterable[str]) -> None:
+    for path in paths:
+        pure = PurePosixPath(path)
+        if pure.is_absolute() or ".." in pure.parts or "\\" in path or not pure.parts:
+            raise SceneError(f"{recipe}: path {quoted(path)} leaves the folder; it must be relative, without ..")

@@ -1,0 +1,99 @@
+"""``python -m gibson_sim_tools.making.blender PLAN WORK``: builds and bakes a building in a Python that has Blender.
+
+PLAN is a file of ``gibson_sim_tools.making.building_file``; WORK a folder. What lies there finished is kept. Each line on standard output
+reports progress, as JSON.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gibson_sim.errors import GibsonSimError
+from gibson_sim_tools.making.blender.assembly import Assembly, assemble
+from gibson_sim_tools.making.blender.bake import Stage
+from gibson_sim_tools.making.blender.denoise import denoised
+from gibson_sim_tools.making.blender.mirrors import mirrors_of, reflection
+from gibson_sim_tools.making.building_file import Quality, read_plan
+from gibson_sim_tools.making.pixels import hidden, mirrored
+
+_COLOR_COST = 4.0
+"""Samples of light that take as long as the colours."""
+
+
+def main() -> None:
+    """Does what is not done yet."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("plan", type=Path)
+    parser.add_argument("work", type=Path)
+    args = parser.parse_args()
+    try:
+        _make(args.plan, args.work)
+    except GibsonSimError as error:
+        sys.exit(f"{error}")
+
+
+def _make(plan: Path, work: Path) -> None:
+    building, quality = read_plan(plan)
+    _tell("furniture and walls", 0.0)
+    assembly = assemble(building, quality.atlases, quality.size_px)
+    mesh = work / "mesh.npz"
+    if not mesh.exists():
+        assembly.save(work / "mesh.part.npz")
+        os.replace(work / "mesh.part.npz", mesh)
+    _tell(f"{len(assembly.owner)} triangles, {assembly.density:.0f} pixels per metre", 0.02)
+    atlases = sorted({int(a) for a in assembly.atlas if a >= 0})
+    wanted = [(k, what) for what in ("color", "light") for k in atlases if not (work / f"{what}_{k}.npy").exists()]
+    mirrors = work / "mirrors.npz"
+    if wanted or not mirrors.exists():
+        stage = Stage(building, assembly, quality.samples)
+        _bake_all(stage, quality, wanted, work)
+        if not mirrors.exists():
+            _mirrors(assembly, quality, mirrors)
+    _tell("baked", 1.0)
+
+
+def _bake_all(stage: Stage, quality: Quality, wanted: list[tuple[int, str]], work: Path) -> None:
+    # The last atlas has the smallest charts, in which the denoiser has least to go by.
+    factors = np.linspace(1.0, 2.0, quality.atlases) if quality.atlases > 1 else np.ones(1)
+    costs = [_COLOR_COST if what == "color" else quality.samples * factors[k] for k, what in wanted]
+    done = 0.0
+    for (atlas, what), cost in zip(wanted, costs, strict=True):
+        _tell(f"{what} of atlas {atlas + 1} of {quality.atlases}", 0.02 + 0.96 * done / sum(costs))
+        size_px = quality.size_px
+        image = stage.color(atlas, size_px) if what == "color" else stage.light(atlas, size_px // 2, float(factors[atlas]))
+        covered = image[..., 3] > 0.5
+        if what == "light":
+            # What lies within something else is dark, which must not bleed onto what is seen beside it.
+            covered &= ~hidden(stage.openness(atlas, size_px // 2), covered)
+            image[..., :3] = denoised(mirrored(image[..., :3], covered))
+        part = work / f"{what}_{atlas}.part.npy"
+        np.save(part, np.concatenate([image[..., :3], covered[..., None]], axis=-1).astype(np.float16))
+        os.replace(part, work / f"{what}_{atlas}.npy")
+        done += cost
+
+
+def _mirrors(assembly: Assembly, quality: Quality, path: Path) -> None:
+    """Writes what every mirror shows, beside its atlas and the place of its corners there."""
+    _tell("mirrors", 0.98)
+    rows: dict[str, Any] = {}
+    for number, mirror in enumerate(mirrors_of(assembly)):
+        rows[f"image_{number}"] = reflection(mirror, 2 * quality.samples).astype(np.float16)
+        rows[f"uv_{number}"], rows[f"atlas_{number}"] = mirror.uv, mirror.atlas
+    part = path.with_suffix(".part.npz")
+    np.savez_compressed(part, **rows)
+    os.replace(part, path)
+
+
+def _tell(text: str, done: float) -> None:
+    print(json.dumps({"text": text, "done": round(done, 4)}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,36 @@
+"""What moves but mostly stays where it is: it throws its shadow in the bake, as boxes, and is not part of it. NumPy only."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gibson_sim_tools.making.blender.shapes import Solid, Surface, placed
+from gibson_sim_tools.making.building import Body
+
+_Box = tuple[tuple[float, float, float], tuple[float, float, float]]
+_CASTERS: dict[str, tuple[_Box, ...]] = {
+    "fridge_body": (((-0.34, -0.3, 0.02), (0.31, 0.3, 1.78)),),
+    "oven_body": (((-0.3, -0.297, 0.02), (0.27, 0.297, 0.6)),),
+    "cabinet_drawers": (((-0.22, -0.3, 0.03), (0.2, 0.3, 0.72)),),
+    "cabinet_doors": (((-0.22, -0.4, 0.03), (0.2, 0.4, 0.76)),),
+    "chair_wooden": (((-0.2, -0.2, 0.435), (0.22, 0.2, 0.455)), ((-0.24, -0.19, 0.7), (-0.22, 0.19, 0.85))),
+    "stool": (((-0.17, -0.17, 0.43), (0.17, 0.17, 0.46)),),
+    "table_side": (((-0.21, -0.21, 0.47), (0.21, 0.21, 0.5)),),
+    "box_cardboard": (((-0.145, -0.195, 0.0), (0.145, 0.195, 0.28)),),
+    "basket": (((-0.12, -0.17, 0.0), (0.12, 0.17, 0.22)),),
+    "bin_waste": (((-0.1, -0.1, 0.0), (0.1, 0.1, 0.32)),),
+    "ball": (((-0.06, -0.06, 0.02), (0.06, 0.06, 0.2)),),
+}
+"""Of models of ``scenes/objects``: low and high corners, metres."""
+
+
+def caster(body: Body) -> Solid | None:
+    """Returns what a body throws its shadow with, in the world, or None for small ones."""
+    boxes = _CASTERS.get(body.model)
+    if boxes is None:
+        return None
+    solid = Solid(np.random.default_rng(0))
+    for low, high in boxes:
+        solid.box(low, high, Surface("outside", (0.5, 0.5, 0.5)), 0)
+    solid.turned(0, placed(body.position, body.yaw))
+    return solid

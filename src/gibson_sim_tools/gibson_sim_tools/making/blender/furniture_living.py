@@ -1,0 +1,346 @@
+"""Furniture of living rooms. NumPy only."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from gibson_sim_tools.making.blender.looks import LOOKS, look, varied, vivid
+from gibson_sim_tools.making.blender.shapes import Part, Solid, Surface, placed
+
+_FABRICS = ("fabric_grey", "fabric_beige", "fabric_blue", "fabric_green", "fabric_grey", "leather_brown")
+WOODS = ("wood_oak", "wood_walnut", "wood_white", "wood_oak", "wood_pine")
+
+
+def choose(s: Solid, names: tuple[str, ...]) -> Surface:
+    """Returns the surface of one of the names, its colour a little its own."""
+    name = names[int(s.rng.integers(len(names)))]
+    return look(name, varied(LOOKS[name][1], s.rng, 0.04))
+
+
+def legs(s: Solid, d: float, w: float, h: float, surface: Surface, radius: float = 0.018, inset: float = 0.05) -> None:
+    """Adds four legs that stand a little outwards."""
+    for x in (-1, 1):
+        for y in (-1, 1):
+            top = np.array([x * (d / 2 - inset - 0.03), y * (w / 2 - inset - 0.03), h])
+            foot = np.array([x * (d / 2 - inset), y * (w / 2 - inset), 0.0])
+            s.tube([foot, top], [radius * 0.7, radius], surface, 8)
+
+
+def sofa(s: Solid, d: float, w: float, h: float) -> None:
+    """A sofa of two or three seats with loose cushions."""
+    cloth, foot, arm = choose(s, _FABRICS), 0.12, 0.16 + 0.06 * s.rng.random()
+    seat = 0.42
+    legs(s, d, w, foot + 0.02, look("wood_oak"), inset=0.08)
+    s.cushion((-d / 2, -w / 2, foot), (d / 2 - 0.02, w / 2, seat - 0.12), cloth, 12)
+    s.cushion((-d / 2, -w / 2 + arm * 0.9, foot + 0.05), (-d / 2 + 0.22, w / 2 - arm * 0.9, h - 0.03), cloth, 8)
+    for side in (-1, 1):
+        s.cushion((-d / 2, side * w / 2, foot), (d / 2, side * (w / 2 - arm), 0.60), cloth, 7, noise=0.004)
+    count = 3 if w > 1.95 else 2
+    edges = np.linspace(-w / 2 + arm, w / 2 - arm, count + 1)
+    for low, high in itertools.pairwise(edges):
+        s.cushion((-d / 2 + 0.18, low + 0.004, seat - 0.13), (d / 2 - 0.01, high - 0.004, seat + 0.03), cloth, 6, 6, noise=0.006)
+        first = len(s.parts)
+        s.cushion((-0.09, low + 0.006, -0.19), (0.09, high - 0.006, 0.23), cloth, 4.5, 8, noise=0.012)
+        s.turned(first, placed((-d / 2 + 0.27, 0, h - 0.25), pitch=-0.2))
+    for side in (-1, 1):
+        if s.rng.random() < 0.85:
+            loose_cushion(s, (-d / 2 + 0.40, side * (w / 2 - arm - 0.23), seat + 0.21), s.rng.uniform(-0.5, 0.5), -0.35)
+    _seat_boxes(s, d, w, h, arm)
+
+
+def _seat_boxes(s: Solid, d: float, w: float, h: float, arm: float) -> None:
+    s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, 0.44))
+    s.collide((-d / 2, -w / 2, 0), (-d / 2 + 0.3, w / 2, h))
+    for side in (-1, 1):
+        s.collide((-d / 2, side * w / 2, 0), (d / 2, side * (w / 2 - arm), 0.60))
+
+
+def loose_cushion(s: Solid, at: tuple[float, float, float], yaw: float, pitch: float) -> None:
+    """A throw cushion that leans."""
+    first, half = len(s.parts), 0.2 + 0.03 * s.rng.random()
+    material = ("fabric_striped", "linen", "fabric_red", "fabric_green", "fabric_blue")[int(s.rng.integers(5))]
+    part = s.cushion((-0.075, -half, -half), (0.075, half, half), look(material), 2.6, 8, noise=0.01)
+    # The corners of a cushion are thin and pointed.
+    square = (np.abs(part.vertices[:, 1:]) / half).min(axis=1)
+    part.vertices[:, 0] *= 1.0 - 0.5 * square**2
+    s.turned(first, placed(at, yaw, pitch))
+
+
+def armchair(s: Solid, d: float, w: float, h: float) -> None:
+    """An armchair."""
+    cloth = choose(s, _FABRICS)
+    legs(s, d, w, 0.17, look("wood_walnut"), 0.02, 0.07)
+    s.cushion((-d / 2, -w / 2, 0.15), (d / 2 - 0.03, w / 2, 0.32), cloth, 9)
+    for side in (-1, 1):
+        s.cushion((-d / 2, side * w / 2, 0.15), (d / 2 - 0.04, side * (w / 2 - 0.12), 0.58), cloth, 5)
+    s.cushion((-d / 2 + 0.1, -w / 2 + 0.125, 0.29), (d / 2, w / 2 - 0.125, 0.46), cloth, 5, 8, noise=0.006)
+    first = len(s.parts)
+    s.cushion((-0.1, -w / 2 + 0.1, -0.3), (0.1, w / 2 - 0.1, 0.3), cloth, 4, 8, noise=0.008)
+    s.turned(first, placed((-d / 2 + 0.16, 0, h - 0.31), pitch=-0.12))
+    loose_cushion(s, (-d / 2 + 0.33, s.rng.uniform(-0.06, 0.06), 0.63), 0.1, -0.3)
+    _seat_boxes(s, d, w, h, 0.12)
+
+
+def table(s: Solid, d: float, w: float, h: float) -> None:
+    """A table with four legs and a frame, or with a round foot."""
+    wood = choose(s, WOODS)
+    thick = 0.028
+    s.box((-d / 2, -w / 2, h - thick), (d / 2, w / 2, h), wood, 0.006, solid=True)
+    if h < 0.5:
+        legs(s, d, w, h - thick, look("metal_black") if s.rng.random() < 0.4 else wood, 0.016, 0.06)
+        s.box((-d / 2 + 0.1, -w / 2 + 0.1, h * 0.36), (d / 2 - 0.1, w / 2 - 0.1, h * 0.36 + 0.015), wood)
+        magazines(s, (0.0, s.rng.uniform(-0.2, 0.2), h * 0.36 + 0.015))
+    else:
+        for x in (-1, 1):
+            for y in (-1, 1):
+                a, b = np.array([x * (d / 2 - 0.03), y * (w / 2 - 0.03)]), np.array([x * (d / 2 - 0.095), y * (w / 2 - 0.095)])
+                s.box((*a, 0), (*b, h - thick), wood, 0.004, "+z -z", solid=True)
+        for y in (-1, 1):
+            s.box(
+                (-d / 2 + 0.07, y * (w / 2 - 0.05), h - 0.11), (d / 2 - 0.07, y * (w / 2 - 0.072), h - thick), wood, 0.002, "+z"
+            )
+        for x in (-1, 1):
+            s.box(
+                (x * (d / 2 - 0.05), -w / 2 + 0.07, h - 0.11), (x * (d / 2 - 0.072), w / 2 - 0.07, h - thick), wood, 0.002, "+z"
+            )
+        return
+    for x in (-1, 1):
+        for y in (-1, 1):
+            corner = (x * (d / 2 - 0.06), y * (w / 2 - 0.06))
+            s.collide((corner[0] - 0.02, corner[1] - 0.02, 0), (corner[0] + 0.02, corner[1] + 0.02, h - thick))
+
+
+def magazines(s: Solid, at: tuple[float, float, float]) -> None:
+    """A few magazines on top of each other."""
+    z = at[2]
+    for _ in range(int(s.rng.integers(2, 5))):
+        first, thick = len(s.parts), s.rng.uniform(0.004, 0.012)
+        s.box((-0.105, -0.145, 0), (0.105, 0.145, thick), look("paper", vivid(s.rng)), 0.001)
+        s.turned(first, placed((at[0], at[1], z), s.rng.uniform(-0.3, 0.3)))
+        z += thick
+
+
+def fronts(
+    s: Solid,
+    x: float,
+    low: tuple[float, float],
+    high: tuple[float, float],
+    columns: int,
+    rows: int,
+    surface: Surface,
+    handle: Surface,
+) -> None:
+    """Adds doors or drawers, columns x rows, between (y, z) corners, before the plane at ``x``, each with a handle."""
+    gap, thick = 0.003, 0.018
+    ys, zs = np.linspace(low[0], high[0], columns + 1), np.linspace(low[1], high[1], rows + 1)
+    for j in range(columns):
+        for k in range(rows):
+            a, b = np.array([ys[j] + gap, zs[k] + gap]), np.array([ys[j + 1] - gap, zs[k + 1] - gap])
+            s.box((x, a[0], a[1]), (x + thick, b[0], b[1]), surface, 0.003, "-x")
+            middle, wide = (a + b) / 2, min(0.16, 0.5 * (b[0] - a[0]))
+            if b[1] - a[1] > 0.45 and rows == 1:  # doors: upright handles beside the gap
+                side = b[0] - 0.05 if j % 2 == 0 and columns > 1 else a[0] + 0.05
+                ends = [(x + thick, side, middle[1] - 0.08), (x + thick, side, middle[1] + 0.08)]
+            else:
+                ends = [(x + thick, middle[0] - wide / 2, b[1] - 0.045), (x + thick, middle[0] + wide / 2, b[1] - 0.045)]
+            bar(s, ends, handle)
+
+
+def bar(s: Solid, ends: list[tuple[float, float, float]], surface: Surface, out: float = 0.02, radius: float = 0.005) -> None:
+    """A bar handle that stands out by ``out`` along x."""
+    (x, y0, z0), (_, y1, z1) = ends
+    y, z = 0.12 * (y1 - y0), 0.12 * (z1 - z0)
+    path = [(x, y0 + y, z0 + z), (x + out, y0 + y, z0 + z), (x + out, y1 - y, z1 - z), (x, y1 - y, z1 - z)]
+    s.tube(path[:2], radius, surface, 6)
+    s.tube(path[2:], radius, surface, 6)
+    s.tube([(x + out, y0, z0), (x + out, y1, z1)], radius, surface, 6)
+
+
+def cabinet(s: Solid, d: float, w: float, h: float) -> None:
+    """A cabinet with drawers or doors; low ones stand on legs."""
+    wood = choose(s, WOODS)
+    front = wood if s.rng.random() < 0.6 else look("wood_white")
+    handle = look("metal_black") if s.rng.random() < 0.5 else look("metal_brass")
+    foot = 0.12 if h < 0.62 and w > 1.0 else 0.05
+    inner = d / 2 - 0.038
+    if foot > 0.1:
+        legs(s, d, w, foot + 0.02, look("wood_walnut"), 0.016, 0.08)
+    else:
+        s.box((-d / 2 + 0.02, -w / 2 + 0.02, 0), (inner - 0.03, w / 2 - 0.02, foot), wood, 0.001, "+z -z -x")
+    s.box((-d / 2, -w / 2, foot), (inner, w / 2, h - 0.02), wood, 0.002, "-x +x -z +z")
+    s.box((-d / 2, -w / 2 - 0.0, h - 0.02), (inner + 0.018, w / 2, h), wood, 0.003, "-x -z")
+    columns = max(1, round(w / 0.55))
+    drawers = w / columns > 0.62 or s.rng.random() < 0.5 or h < 0.6
+    rows = max(1, round((h - foot) / 0.22)) if drawers else 1
+    fronts(s, inner, (-w / 2, foot), (w / 2, h - 0.02), columns, rows, front, handle)
+    s.collide((-d / 2, -w / 2, 0), (d / 2, w / 2, h))
+
+
+def wardrobe(s: Solid, d: float, w: float, h: float) -> None:
+    """A wardrobe with doors."""
+    wood = choose(s, ("wood_white", "wood_oak", "wood_walnut", "wood_white"))
+    inner = d / 2 - 0.04
+    s.box((-d / 2 + 0.02, -w / 2 + 0.01, 0), (inner - 0.02, w / 2 - 0.01, 0.07), wood, 0.001, "+z -z -x")
+    s.box((-d / 2, -w / 2, 0.07), (inner, w / 2, h), wood, 0.003, "-x +x -z")
+    columns = max(2, 2 * round(w / 1.0))
+    fronts(s, inner, (-w / 2, 0.07), (w / 2, h), columns, 1, wood, look("metal_steel"))
+
+
+def bookshelf(s: Solid, d: float, w: float, h: float) -> None:
+    """A bookshelf full of books and some other things."""
+    wood, t = choose(s, WOODS), 0.022
+    columns = max(1, round(w / 0.8))
+    rows = max(4, round(h / 0.36))
+    s.box((-d / 2, -w / 2, 0), (-d / 2 + 0.008, w / 2, h), wood, 0, "-x")
+    for y in np.linspace(-w / 2, w / 2 - t, columns + 1):
+        s.box((-d / 2 + 0.008, y, 0), (d / 2, y + t, h), wood, 0.002, "-z -x")
+    levels = np.linspace(0.06, h - t, rows + 1)
+    for column in range(columns):
+        low, high = -w / 2 + t + column * (w - t) / columns, -w / 2 + (column + 1) * (w - t) / columns
+        for level, z in enumerate(levels):
+            s.box((-d / 2 + 0.008, low, z), (d / 2 - 0.004, high, z + t), wood, 0.002, "-x")
+            if level < rows:
+                _books(s, (-d / 2 + 0.03, low + 0.006, z + t), (d / 2 - 0.03, high - 0.006, levels[level + 1] - 0.02))
+    s.box((-d / 2 + 0.008, -w / 2 + t, 0), (d / 2 - 0.03, w / 2 - t, 0.06), wood, 0, "-x -z +z")
+
+
+def _books(s: Solid, low: tuple[float, float, float], high: tuple[float, float, float]) -> None:
+    """Fills a compartment: books upright, some lying, gaps."""
+    y, clear = low[1] + s.rng.uniform(0, 0.03), high[2] - low[2]
+    stop = high[1] - (s.rng.uniform(0, 0.25) * (high[1] - low[1]) if s.rng.random() < 0.6 else 0.0)
+    while y < stop - 0.05:
+        if s.rng.random() < 0.08:
+            z = low[2]
+            for _ in range(int(s.rng.integers(2, 5))):
+                thick = s.rng.uniform(0.02, 0.04)
+                _book(
+                    s,
+                    (high[0] - s.rng.uniform(0.14, 0.18), y, z),
+                    (high[0] - s.rng.uniform(0.0, 0.02), min(y + 0.22, stop), z + thick),
+                )
+                z += thick
+            y += 0.23
+            continue
+        thick, tall = s.rng.uniform(0.014, 0.045), clear * s.rng.uniform(0.62, 0.93)
+        deep = min(high[0] - low[0], s.rng.uniform(0.13, 0.2))
+        back = s.rng.uniform(0.0, 0.02)
+        _book(s, (high[0] - back - deep, y, low[2]), (high[0] - back, y + thick - 0.001, low[2] + tall))
+        y += thick
+
+
+def _book(s: Solid, low: tuple[float, ...], high: tuple[float, ...]) -> None:
+    kind = s.rng.random()
+    color = vivid(s.rng, (0.0, 0.25), (0.55, 0.92)) if kind < 0.4 else vivid(s.rng, (0.3, 0.75), (0.18, 0.7))
+    part = s.box(low, high, look("paper", color), 0, "-x -y -z")
+    part.importance[part.chart == 2] *= 0.35
+
+
+def plant(s: Solid, d: float, w: float, h: float) -> None:
+    """A plant in a pot: a rubber tree, a palm or something bushy."""
+    radius, pot = min(d, w) * 0.34, h * s.rng.uniform(0.2, 0.27)
+    shade = choose(s, ("plaster_white", "concrete", "tile_terracotta", "metal_black"))
+    outer = Surface("plain", shade.tint)
+    s.lathe((0, 0, 0), [(0, 0), (radius * 0.72, 0), (radius, pot), (radius * 0.9, pot), (radius * 0.86, pot * 0.88)], outer, 18)
+    s.lathe((0, 0, 0), [(radius * 0.88, pot * 0.88), (0, pot * 0.9)], look("soil"), 12)
+    s.collide((-radius, -radius, 0), (radius, radius, h * 0.6))
+    base = LOOKS["leaves"][1]
+    reach, style = min(d, w) / 2, s.rng.random()
+    count = int(46 + 30 * s.rng.random())
+    golden = 2.39996
+    for k in range(count):
+        level = (k + 0.5) / count
+        angle = k * golden + s.rng.uniform(-0.3, 0.3)
+        if style < 0.5:  # a stem with leaves all along
+            root = np.array([0.02 * np.cos(angle), 0.02 * np.sin(angle), pot + (h * 0.93 - pot) * (0.15 + 0.8 * level)])
+            length, droop, wide = h * 0.17 * (1.25 - 0.5 * level), 0.35 - 0.5 * level, 0.42
+        else:  # long leaves out of the pot
+            root = np.array([0.04 * np.cos(angle), 0.04 * np.sin(angle), pot * 0.9])
+            length, droop, wide = (h - pot) * s.rng.uniform(0.65, 1.0), 0.5 - 1.0 * level, 0.11
+        _leaf(s, root, angle, length, droop, wide, reach, h, look("leaves", varied(base, s.rng, 0.09), 0.7))
+    if style < 0.5:
+        sway = s.rng.uniform(-0.03, 0.03, 2)
+        path = [
+            (sway[0] * t * (1 - t) * 4, sway[1] * t * (1 - t) * 4, pot * 0.85 + (h * 0.93 - pot * 0.85) * t)
+            for t in np.linspace(0, 1, 6)
+        ]
+        s.tube(path, np.linspace(0.016, 0.006, 6), look("wood_walnut"), 6)
+
+
+def _leaf(
+    s: Solid, root: np.ndarray, angle: float, length: float, droop: float, wide: float, reach: float, top: float, surface: Surface
+) -> Part:
+    """A leaf that bends under its weight, kept within ``reach`` of the middle and below ``top``."""
+    t = np.linspace(0, 1, 6)
+    rise = (1.1 - abs(droop)) * t - (0.55 + droop) * t**2
+    out = np.minimum(length * (0.55 + 0.45 * (droop > 0)) * t, reach - 0.02)
+    middle = np.column_stack([np.cos(angle) * out, np.sin(angle) * out, length * rise]) + root
+    middle[:, 2] = np.clip(middle[:, 2], 0.06, top)
+    side = np.array([-np.sin(angle), np.cos(angle), 0.0])
+    half = length * wide * 0.5 * np.sin(np.pi * np.clip(t, 0.03, 0.97)) ** 0.8
+    grid = np.stack(
+        [middle - side * half[:, None], middle + np.array([0, 0, -0.12]) * half[:, None], middle + side * half[:, None]], axis=1
+    )
+    limit = np.linalg.norm(grid[..., :2], axis=2, keepdims=True)
+    grid[..., :2] *= np.minimum(1.0, reach / np.maximum(limit, 1e-6))
+    return s.sheet(grid, surface)
+
+
+def rug(s: Solid, d: float, w: float, h: float) -> None:
+    """A rug with a border."""
+    color = varied(
+        [(0.62, 0.28, 0.22), (0.72, 0.66, 0.56), (0.32, 0.38, 0.46), (0.55, 0.54, 0.50)][int(s.rng.integers(4))], s.rng, 0.05
+    )
+    part = s.box((-d / 2, -w / 2, 0), (d / 2, w / 2, h), Surface("rug", color, 1.0), 0.003, "-z")
+    # The pattern wants to know how far each point is from the edges: -1 to 1 across, and metres along.
+    part.pattern = part.vertices[part.triangles] / np.array([d / 2, w / 2, 1.0]) + np.array([0, 0, float(s.rng.integers(3))])
+    s.collide((-0.01, -0.01, 0), (0.01, 0.01, 0.001))
+
+
+def curtain(s: Solid, d: float, w: float, h: float) -> None:
+    """A curtain in folds on a rod."""
+    names = ("linen", "fabric_beige", "fabric_grey", "linen", "fabric_green", "fabric_blue")
+    cloth = look(names[int(np.random.default_rng((s.style, 32)).integers(len(names)))])  # the same at all windows
+    folds, steps, rows = max(3, round(w / 0.085)), 6, 5
+    y = np.linspace(-w / 2, w / 2, folds * steps + 1)
+    phase = np.linspace(0, 2 * np.pi * folds, len(y))
+    grid = np.empty((len(y), rows, 3))
+    for k, z in enumerate(np.linspace(0.01, h - 0.04, rows)):
+        loose = 1.0 - 0.45 * (k / (rows - 1))
+        swing = 0.25 * np.sin(phase * 0.37 + s.rng.uniform(0, 6)) * loose
+        grid[:, k] = np.column_stack([np.clip((np.sin(phase) * loose + swing) * d * 0.42, -d / 2, d / 2), y, np.full(len(y), z)])
+    s.sheet(grid, cloth)
+    s.tube([(0, -w / 2 - 0.0, h - 0.02), (0, w / 2, h - 0.02)], 0.011, look("metal_black"), 8)
+
+
+def painting(s: Solid, d: float, w: float, h: float) -> None:
+    """A picture in a frame."""
+    frame = choose(s, ("wood_black", "wood_oak", "wood_white", "metal_brass"))
+    rim = 0.025
+    for side in (-1, 1):
+        s.box((-d / 2, side * w / 2, 0), (d / 2, side * (w / 2 - rim), h), frame, 0.004, "-x")
+    s.box((-d / 2, -w / 2 + rim, 0), (d / 2, w / 2 - rim, rim), frame, 0.004, "-x")
+    s.box((-d / 2, -w / 2 + rim, h - rim), (d / 2, w / 2 - rim, h), frame, 0.004, "-x")
+    x, board = d / 2 - 0.012, 0.06 if s.rng.random() < 0.6 else 0.0
+    y, z = w / 2 - rim, h - rim
+    s.quad([(x, -y, rim), (x, y, rim), (x, y, z), (x, -y, z)], look("paper"))
+    y, low, z = y - board, rim + board, z - board
+    number = float(s.rng.integers(0, 1000))
+    pattern = [(-1, -1, number), (1, -1, number), (1, 1, number), (-1, 1, number)]
+    s.quad(
+        [(x + 0.002, -y, low), (x + 0.002, y, low), (x + 0.002, y, z), (x + 0.002, -y, z)],
+        Surface("art", vivid(s.rng, (0.2, 0.6), (0.5, 0.9)), 1.4),
+        pattern,
+    )
+    s.quad(
+        [(-d / 2, w / 2, 0), (-d / 2, -w / 2, 0), (-d / 2, -w / 2, h), (-d / 2, w / 2, h)],
+        Surface("plain", (0.5, 0.4, 0.3), 0.15),
+    )
+
+
+BUILDERS = {
+    "sofa": sofa, "armchair": armchair, "coffee_table": table, "dining_table": table, "meeting_table": table, "tv_board": cabinet,
+    "sideboard": cabinet, "nightstand": cabinet, "chest_of_drawers": cabinet, "shoe_cabinet": cabinet, "wardrobe": wardrobe,
+    "bookshelf": bookshelf, "plant": plant, "rug": rug, "curtain": curtain, "painting": painting,
+}  # fmt: skip

@@ -1,0 +1,185 @@
+"""Patterns as materials of Cycles: each takes the colour ``tint`` and the coordinates ``place``, metres, x along the grain or the wall, y up it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import bpy
+
+from gibson_sim_tools.making.blender.nodes import Graph, Socket
+
+_GLOW = 6.0
+"""Radiance of lamps and shades, W/m²/sr."""
+
+
+def make_material(pattern: str) -> tuple[Any, Any]:
+    """Returns the material of a pattern and its node that names the image to bake into."""
+    material = bpy.data.materials.new(pattern)
+    material.use_nodes = True
+    graph = Graph(material)
+    if pattern == "glow":
+        return material, graph.finish(graph.tint, _GLOW)
+    return material, graph.finish(PATTERNS[pattern](graph))
+
+
+def _speckled(g: Graph, color: Socket, scale: float, amount: float, detail: float = 2.0) -> Socket:
+    """Makes a colour uneven."""
+    return g.times(color, g.between(g.noise(g.place, scale, detail), 0.25, 0.75, 1 - amount, 1 + amount))
+
+
+def _plain(g: Graph) -> Socket:
+    return _speckled(g, g.tint, 3.0, 0.025)
+
+
+def _screen(g: Graph) -> Socket:
+    """Black glass, with a trace of the room in it."""
+    x, y, _ = g.parts(g.place)
+    sheen = g.noise(g.vector(g.math("MULTIPLY", g.math("ADD", x, y), 0.7), 0.0, 0.0), 1.0, 1.0)
+    return g.mix(g.between(sheen, 0.35, 0.7), g.tint, (0.012, 0.013, 0.015))
+
+
+def _plaster(g: Graph) -> Socket:
+    return _speckled(g, _speckled(g, g.tint, 1.3, 0.03), 90.0, 0.025)
+
+
+def _concrete(g: Graph) -> Socket:
+    return _speckled(g, _speckled(g, g.tint, 1.7, 0.13, 6.0), 60.0, 0.07)
+
+
+def _bricks(g: Graph) -> Socket:
+    number, joint = g.bricks(g.place, 0.25, 0.077, 0.006)
+    stone = g.times(g.tint, g.between(number, 0.0, 1.0, 0.72, 1.15))
+    return g.mix(joint, _speckled(g, stone, 35.0, 0.16, 4.0), _speckled(g, (0.56, 0.53, 0.48), 120.0, 0.1))
+
+
+def _tiles(width: float, height: float, offset: float, variation: float, gap: float = 0.0025) -> Callable[[Graph], Socket]:
+    def tiles(g: Graph) -> Socket:
+        number, joint = g.bricks(g.place, width, height, gap, offset)
+        tile = g.times(g.tint, g.between(number, 0.0, 1.0, 1 - variation, 1 + 0.4 * variation))
+        return g.mix(joint, _speckled(g, tile, 4.0, 0.03, 5.0), g.times(g.tint, 0.58))
+
+    return tiles
+
+
+def _checker(g: Graph) -> Socket:
+    x, y, _ = g.parts(g.place)
+    cells = g.math("ADD", g.math("FLOOR", g.math("DIVIDE", x, 0.3)), g.math("FLOOR", g.math("DIVIDE", y, 0.3)))
+    dark = g.math("MODULO", g.math("ABSOLUTE", cells), 2.0)
+    _, joint = g.bricks(g.place, 0.3, 0.3, 0.0025, 0.0)
+    tile = g.mix(dark, g.tint, (0.05, 0.055, 0.06))
+    return g.mix(joint, _speckled(g, tile, 4.0, 0.04), (0.35, 0.34, 0.32))
+
+
+def _grain(g: Graph, vector: Socket, color: Socket, strength: float = 1.0) -> Socket:
+    """Returns a colour with the grain of wood along x."""
+    rings = g.noise(g.scaled(vector, (0.9, 14.0, 14.0)), 1.0, 3.0, 1.2)
+    fibres = g.noise(g.scaled(vector, (6.0, 170.0, 170.0)), 1.0, 2.0)
+    first = g.times(color, g.between(rings, 0.3, 0.7, 1 - 0.26 * strength, 1 + 0.16 * strength))
+    return g.times(first, g.between(fibres, 0.25, 0.75, 1 - 0.12 * strength, 1 + 0.08 * strength))
+
+
+def _wood(g: Graph) -> Socket:
+    return _grain(g, g.place, g.tint)
+
+
+def _planks(length: float, width: float, offset: float, variation: float) -> Callable[[Graph], Socket]:
+    def planks(g: Graph) -> Socket:
+        number, joint = g.bricks(g.place, length, width, 0.0016, offset)
+        shift = g.vector(g.math("MULTIPLY", number, 37.0), g.math("MULTIPLY", number, 11.0), g.math("MULTIPLY", number, 53.0))
+        moved = g.scaled(g.place, (1.0, 1.0, 1.0), shift)
+        tone = g.times(g.tint, g.between(number, 0.0, 1.0, 1 - variation, 1 + variation * 0.7))
+        return g.mix(g.math("MULTIPLY", joint, 0.8), _grain(g, moved, tone, 0.9), g.times(g.tint, 0.2))
+
+    return planks
+
+
+def _stripes(g: Graph) -> Socket:
+    x, _, _ = g.parts(g.place)
+    band = g.math("GREATER_THAN", g.math("FRACT", g.math("DIVIDE", x, 0.12)), 0.5)
+    return _speckled(g, g.times(g.tint, g.between(band, 0.0, 1.0, 0.92, 1.04)), 120.0, 0.02)
+
+
+def _carpet(g: Graph) -> Socket:
+    return _speckled(g, _speckled(g, g.tint, 2.0, 0.06), 140.0, 0.24, 3.0)
+
+
+def _fabric(g: Graph) -> Socket:
+    return _speckled(g, _speckled(g, g.tint, 5.0, 0.05), 190.0, 0.16)
+
+
+def _cloth_stripes(g: Graph) -> Socket:
+    _, y, _ = g.parts(g.place)
+    band = g.math("GREATER_THAN", g.math("FRACT", g.math("DIVIDE", y, 0.09)), 0.66)
+    return _speckled(g, g.mix(band, g.tint, (0.10, 0.16, 0.26)), 190.0, 0.14)
+
+
+def _leather(g: Graph) -> Socket:
+    distance, _ = g.cells(g.place, 160.0)
+    return g.times(_speckled(g, g.tint, 6.0, 0.14, 4.0), g.between(distance, 0.0, 0.6, 1.08, 0.86))
+
+
+def _marble(g: Graph) -> Socket:
+    waves = g.noise(g.place, 1.6, 7.0, 1.4)
+    vein = g.between(g.math("ABSOLUTE", g.math("SUBTRACT", waves, 0.5)), 0.0, 0.035, 1.0, 0.0)
+    return g.mix(g.math("MULTIPLY", vein, 0.45), _speckled(g, g.tint, 2.0, 0.05, 5.0), (0.30, 0.30, 0.31))
+
+
+def _terrazzo(g: Graph) -> Socket:
+    distance, color = g.cells(g.place, 55.0)
+    number, hue, _ = g.parts(color)
+    chip = g.math("MULTIPLY", g.math("LESS_THAN", distance, 0.34), g.math("GREATER_THAN", number, 0.45))
+    stone = g.mix(hue, g.times(g.tint, 0.45), g.times(g.tint, 1.15))
+    return g.mix(chip, _speckled(g, g.tint, 90.0, 0.05), stone)
+
+
+def _leaves(g: Graph) -> Socket:
+    return _speckled(g, _speckled(g, g.tint, 9.0, 0.2), 60.0, 0.1)
+
+
+def _rug(g: Graph) -> Socket:
+    x, y, number = g.parts(g.place)
+    ax, ay = g.math("ABSOLUTE", x), g.math("ABSOLUTE", y)
+    edge = g.math("MAXIMUM", ax, ay)
+    border = g.math("MULTIPLY", g.math("GREATER_THAN", edge, 0.86), g.math("LESS_THAN", edge, 0.93))
+    diamonds = g.math(
+        "ADD", g.math("PINGPONG", g.math("MULTIPLY", ax, 3.0), 0.5), g.math("PINGPONG", g.math("MULTIPLY", ay, 4.0), 0.5)
+    )
+    inner = g.math(
+        "MULTIPLY",
+        g.math("LESS_THAN", edge, 0.80),
+        g.math("GREATER_THAN", g.math("FRACT", g.math("MULTIPLY", diamonds, 3.0)), 0.62),
+    )
+    wanted = g.math("GREATER_THAN", number, 0.5)
+    mark = g.math("MAXIMUM", border, g.math("MULTIPLY", inner, wanted))
+    worn = g.noise(g.place, 5.0, 4.0)
+    color = g.mix(g.math("MULTIPLY", mark, g.between(worn, 0.3, 0.6, 0.5, 0.9)), g.tint, (0.62, 0.56, 0.46))
+    fine = g.noise(g.place, 220.0, 2.0)
+    return g.times(color, g.between(fine, 0.25, 0.75, 0.84, 1.12))
+
+
+def _art(g: Graph) -> Socket:
+    """Layers of hills, or fields of colour, in four tones."""
+    x, y, number = g.parts(g.place)
+    kind = g.math("GREATER_THAN", g.math("FRACT", g.math("MULTIPLY", number, 0.37)), 0.45)
+    hills = g.math(
+        "ADD",
+        g.math("MULTIPLY", y, 0.42),
+        g.math("MULTIPLY", g.noise(g.vector(x, g.math("MULTIPLY", y, 0.25), number), 1.4, 4.0), 0.9),
+    )
+    fields = g.noise(g.vector(x, y, number), 1.1, 0.5, 2.2)
+    level = g.math(
+        "ADD", g.math("MULTIPLY", kind, hills), g.math("MULTIPLY", g.math("SUBTRACT", 1.0, kind), g.between(fields, 0.3, 0.7))
+    )
+    tones = g.ramp(level, [(0.03, 0.05, 0.08), (0.13, 0.20, 0.24), (0.50, 0.24, 0.14), (0.72, 0.52, 0.30), (0.78, 0.74, 0.66)])
+    paint = g.mix(0.45, tones, g.times(g.tint, g.between(level, 0.0, 1.0, 0.25, 1.3)))
+    return g.times(paint, g.between(g.noise(g.place, 22.0, 5.0), 0.25, 0.75, 0.86, 1.1))
+
+
+PATTERNS: dict[str, Callable[[Graph], Socket]] = {
+    "plain": _plain, "outside": _plain, "plaster": _plaster, "concrete": _concrete, "brick": _bricks,
+    "tile_30": _tiles(0.3, 0.3, 0.0, 0.04), "tile_60": _tiles(0.6, 0.6, 0.0, 0.07), "metro": _tiles(0.2, 0.1, 0.5, 0.05), "checker": _checker,
+    "planks": _planks(1.6, 0.145, 0.37, 0.2), "parquet": _planks(0.42, 0.07, 0.5, 0.26), "wood": _wood, "stripes": _stripes,
+    "carpet": _carpet, "fabric": _fabric, "cloth_stripes": _cloth_stripes, "leather": _leather, "marble": _marble, "terrazzo": _terrazzo,
+    "leaves": _leaves, "cardboard": _plaster, "rug": _rug, "art": _art, "mirror": _plain, "screen": _screen, "glass": _plain,
+}  # fmt: skip

@@ -1,0 +1,47 @@
+"""``python -m gibson_sim_tools.making.blender.objects PICTURES OUTPUT NAME...``: writes ``OUTPUT/<name>/<mesh>.glb``.
+
+One line of JSON for each mesh.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from gibson_sim_tools.making.blender.objects import cabinets, doors, furniture, things, vessels
+from gibson_sim_tools.making.blender.objects.workshop import Part, Shop
+from gibson_sim_tools.making.objects.catalogue import OBJECTS
+from gibson_sim_tools.making.objects.urdf import mesh_name
+
+
+def _makers(name: str) -> Mapping[str, Callable[[Part], None]]:
+    """Returns what models each link of an object."""
+    joined = {**doors.MAKERS, **cabinets.MAKERS}
+    if name in joined:
+        return joined[name]
+    return {"body": {**vessels.MAKERS, **things.MAKERS, **furniture.MAKERS}[name]}
+
+
+def main() -> None:
+    """Models what the command line names."""
+    pictures, output, *names = sys.argv[1:]
+    shop = Shop(Path(pictures))
+    for name in names:
+        model, makers = OBJECTS[name], _makers(name)
+        written = set()
+        for link in model.links:
+            path = Path(output) / name / mesh_name(model, link)
+            if not link.visual or path in written:
+                continue
+            written.add(path)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            shop.clear()
+            part = Part(shop)
+            makers[link.name](part)
+            print(json.dumps({"object": name, "file": path.name, "triangles": part.write(path)}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

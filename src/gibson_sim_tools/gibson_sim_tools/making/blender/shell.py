@@ -1,0 +1,324 @@
+"""What a building itself consists of: walls with their openings, floors, ceilings, windows, frames of doors, stairs. NumPy only.
+
+Walls run along x or y. Inner faces end exactly where they meet, at the corners of the rooms drawn in by half the thickness of their walls.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from gibson_sim.errors import SceneError
+from gibson_sim_tools.making.blender.looks import LOOKS, look
+from gibson_sim_tools.making.blender.openings import door_frame, window
+from gibson_sim_tools.making.blender.shapes import F64, Solid, Surface
+from gibson_sim_tools.making.blender.stairs import slab_edges, stair
+from gibson_sim_tools.making.building import Building, Point, Room, Storey, Wall
+
+_SKIRTING = (0.012, 0.07)
+_MAX_CHART = 6.0
+"""Longest side of a chart, metres: longer floors and walls are cut."""
+_BELOW_GROUND = 0.002
+_WET = ("tile", "metro", "checker")
+
+
+@dataclass
+class Thing:
+    """An object of the scene."""
+
+    name: str
+    semantic_class: str
+    solid: Solid
+    exported: bool = True
+    """False = it only keeps light out."""
+
+
+def build_shell(building: Building) -> list[Thing]:
+    """Returns walls, floors, ceilings, windows, frames and stairs of a building."""
+    things: list[Thing] = []
+    for level, storey in enumerate(building.storeys):
+        tag = "" if len(building.storeys) == 1 else f"_{level}"
+        insets = {room.name: inset(room, storey) for room in storey.rooms}
+        rng = np.random.default_rng((building.seed, 11, level))
+        below = [s.hole for s in building.stairs if s.storey == level]
+        through = [s.hole for s in building.stairs if s.storey == level - 1]
+        for room in storey.rooms:
+            solid = Solid(rng)
+            _level(solid, insets[room.name], through, storey.floor_z, look(room.floor, importance=1.25), up=True)
+            _thresholds(solid, room, storey)
+            # On the ground floor robots stand on the ground plane; the floor just below it tells maps where the rooms are.
+            _slab_boxes(solid, insets[room.name], through, storey.floor_z - (0.0 if level else _BELOW_GROUND))
+            things.append(Thing(f"floor_{room.name}", "floor", solid))
+            solid = Solid(rng)
+            _level(solid, insets[room.name], below, storey.floor_z + storey.height, look(room.ceiling, importance=0.5), up=False)
+            things.append(Thing(f"ceiling_{room.name}", "ceiling", solid))
+        rooms = {room.name: room for room in storey.rooms}
+        for number, wall in enumerate(storey.walls):
+            solid = Solid(rng)
+            _wall(solid, wall, storey, rooms, insets)
+            things.append(Thing(f"wall{tag}_{number}", "wall", solid))
+            for k, opening in enumerate(wall.openings):
+                solid = Solid(rng)
+                build = window if opening.kind == "window" else door_frame
+                build(solid, wall, opening, storey.floor_z)
+                if solid.parts:
+                    name = "window" if opening.kind == "window" else "door_frame"
+                    things.append(Thing(f"{name}{tag}_{number}_{k}", name, solid))
+        things += _shut(storey, rng, level)
+    things += _lids(building)
+    for number, flight in enumerate(building.stairs):
+        solid = Solid(np.random.default_rng((building.seed, 12, number)))
+        low, high = building.storeys[flight.storey], building.storeys[flight.storey + 1]
+        stair(solid, flight, low.floor_z, high.floor_z)
+        slab_edges(solid, flight, low.floor_z + low.height, high.floor_z)
+        things.append(Thing(f"stair_{number}", "stairs", solid))
+    return things
+
+
+def wall_axes(wall: Wall) -> tuple[F64, F64, float]:
+    """Returns the direction of a wall, the direction to its left, and its length.
+
+    Raises:
+        SceneError: it runs neither along x nor along y.
+    """
+    along = np.subtract(wall.end, wall.start)
+    length = float(np.linalg.norm(along))
+    if length < 1e-6 or np.abs(along).min() > 1e-6:
+        raise SceneError(
+            f"wall from {wall.start} to {wall.end}: must run along x or along y, and be longer than 0; change the plan"
+        )
+    u = along / length
+    return u, np.array([-u[1], u[0]]), length
+
+
+def inset(room: Room, storey: Storey) -> F64:
+    """Returns the corners (N, 2) of the inner faces of a room's walls."""
+    corners = np.asarray(room.corners, dtype=float)
+    nexts = np.roll(corners, -1, axis=0)
+    moved = []
+    for a, b in zip(corners, nexts, strict=True):
+        u = (b - a) / np.linalg.norm(b - a)
+        moved.append((np.array([-u[1], u[0]]), _half_thickness(room, storey, a, b)))
+    result = []
+    for k, corner in enumerate(corners):
+        (n0, h0), (n1, h1) = moved[k - 1], moved[k]
+        straight = abs(float(n0 @ n1)) > 0.5
+        result.append(corner + n1 * h1 if straight else corner + n0 * h0 + n1 * h1)
+    return np.array(result)
+
+
+def _half_thickness(room: Room, storey: Storey, a: F64, b: F64) -> float:
+    middle = (a + b) / 2
+    for wall in storey.walls:
+        if room.name not in (wall.left, wall.right):
+            continue
+        u, n, length = wall_axes(wall)
+        offset = middle - np.asarray(wall.start)
+        if abs(float(offset @ n)) < 1e-3 and abs(float((b - a) @ n)) < 1e-3:
+            spans = sorted(float((p - np.asarray(wall.start)) @ u) for p in (a, b))
+            if min(spans[1], length) - max(spans[0], 0.0) > 1e-3:
+                return wall.thickness / 2
+    return 0.0
+
+
+def _cells(polygon: F64, holes: list[tuple[Point, ...]]) -> list[tuple[float, float, float, float]]:
+    """Returns rectangles (x0, y0, x1, y1) that fill a polygon with sides along x and y, but for its holes."""
+    points = [polygon, *(np.asarray(hole) for hole in holes)]
+    lines = []
+    for axis in (0, 1):
+        low, high = polygon[:, axis].min(), polygon[:, axis].max()
+        values = np.unique(np.round(np.concatenate([p[:, axis] for p in points]), 6))
+        lines.append(values[(values >= low - 1e-6) & (values <= high + 1e-6)])
+    cells = []
+    for x0, x1 in zip(lines[0][:-1], lines[0][1:], strict=True):
+        for y0, y1 in zip(lines[1][:-1], lines[1][1:], strict=True):
+            middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
+            if _inside(polygon, middle) and not any(_inside(np.asarray(hole), middle) for hole in holes):
+                cells.append((float(x0), float(y0), float(x1), float(y1)))
+    return cells
+
+
+def _inside(polygon: F64, point: F64) -> bool:
+    a, b = polygon, np.roll(polygon, -1, axis=0)
+    crosses = (a[:, 1] > point[1]) != (b[:, 1] > point[1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = a[:, 0] + (point[1] - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
+    return bool(np.count_nonzero(crosses & (point[0] < x)) % 2)
+
+
+def _level(solid: Solid, polygon: F64, holes: list[tuple[Point, ...]], z: float, surface: Surface, up: bool) -> None:
+    """Adds a floor or a ceiling, in charts of limited size."""
+    size = np.ptp(polygon, axis=0)
+    cuts = [np.linspace(polygon[:, k].min(), polygon[:, k].max(), int(np.ceil(size[k] / _MAX_CHART)) + 1) for k in (0, 1)]
+    turn = size[1] > size[0]
+    for x0, y0, x1, y1 in _cells(polygon, holes):
+        for a0, a1 in _pieces(x0, x1, cuts[0]):
+            for b0, b1 in _pieces(y0, y1, cuts[1]):
+                quad = np.array([(a0, b0, z), (a1, b0, z), (a1, b1, z), (a0, b1, z)])
+                order = [0, 1, 2, 3] if up else [3, 2, 1, 0]
+                pattern = quad[:, [1, 0, 2]] if turn else quad
+                part = solid.quad(quad[order], surface, pattern[order])
+                place = part.vertices[part.triangles][..., :2]
+                part.uv = place
+                part.chart[:] = 100 * np.searchsorted(cuts[0], (a0 + a1) / 2) + np.searchsorted(cuts[1], (b0 + b1) / 2)
+    _join(solid)
+
+
+def _pieces(low: float, high: float, cuts: F64) -> list[tuple[float, float]]:
+    inner = [float(c) for c in cuts if low + 1e-6 < c < high - 1e-6]
+    edges = [low, *inner, high]
+    return list(itertools.pairwise(edges))
+
+
+def _join(solid: Solid) -> None:
+    """Makes one part of all parts, which look alike."""
+    first = solid.parts[0]
+    shift = np.cumsum([0] + [len(p.vertices) for p in solid.parts])
+    first.triangles = np.concatenate([p.triangles + s for p, s in zip(solid.parts, shift[:-1], strict=True)])
+    for name in ("vertices", "uv", "chart", "pattern", "importance"):
+        setattr(first, name, np.concatenate([getattr(p, name) for p in solid.parts]))
+    solid.parts = [first]
+
+
+def _thresholds(solid: Solid, room: Room, storey: Storey) -> None:
+    """Adds the floor within doors and passages; that of the room on the left of the wall."""
+    for wall in storey.walls:
+        if (wall.left or wall.right) != room.name:
+            continue
+        u, n, _ = wall_axes(wall)
+        for opening in wall.openings:
+            if opening.sill > 0.01:
+                continue
+            middle = np.asarray(wall.start) + u * opening.middle
+            half, deep = u * opening.width / 2, n * wall.thickness / 2
+            corners = [middle - half - deep, middle + half - deep, middle + half + deep, middle - half + deep]
+            quad = np.array([(*c, storey.floor_z) for c in corners])
+            solid.quad(quad, look(room.floor), quad)
+
+
+def _slab_boxes(solid: Solid, polygon: F64, holes: list[tuple[Point, ...]], z: float) -> None:
+    for x0, y0, x1, y1 in _cells(widened(polygon, 0.06), holes):
+        solid.collide((x0, y0, z - 0.2), (x1, y1, z))
+
+
+def widened(polygon: F64, by: float) -> F64:
+    """Returns a counter-clockwise polygon (N, 2) whose sides have moved outwards, metres."""
+    sides = np.roll(polygon, -1, axis=0) - polygon
+    outward = np.column_stack([sides[:, 1], -sides[:, 0]]) / np.linalg.norm(sides, axis=1, keepdims=True)
+    before = np.roll(outward, 1, axis=0)
+    straight = np.abs(np.sum(before * outward, axis=1, keepdims=True)) > 0.5
+    return np.asarray(polygon + by * np.where(straight, outward, before + outward))
+
+
+def _wall(solid: Solid, wall: Wall, storey: Storey, rooms: dict[str, Room], insets: dict[str, F64]) -> None:
+    u, n, length = wall_axes(wall)
+    start = np.asarray(wall.start)
+    for sign, name in ((1.0, wall.left), (-1.0, wall.right)):
+        room = rooms.get(name)
+        low, high = -wall.thickness / 2, length + wall.thickness / 2
+        if room is not None:
+            low, high = _span(wall, room, insets[name])
+        surface = look(room.walls) if room is not None else Surface("outside", LOOKS["outside"][1])
+        _face(solid, wall, sign, (low, high), storey, surface)
+        if room is not None and not surface.material.startswith(_WET):
+            _skirting(solid, wall, sign, (low, high), storey.floor_z)
+    for a, b, z0, z1 in _panels(wall, (-wall.thickness / 2, length + wall.thickness / 2)):
+        p, q = start + u * a - n * wall.thickness / 2, start + u * b + n * wall.thickness / 2
+        solid.collide((*p, storey.floor_z + z0), (*q, storey.floor_z + z1))
+
+
+def _span(wall: Wall, room: Room, inner: F64) -> tuple[float, float]:
+    """Returns from where to where a room sees a wall, metres along it."""
+    u, _, length = wall_axes(wall)
+    span = [0.0, length]
+    for k, corner in enumerate(np.asarray(room.corners, dtype=float)):
+        for end, point in enumerate((wall.start, wall.end)):
+            if np.linalg.norm(corner - point) < 1e-3:
+                span[end] = float((inner[k] - np.asarray(wall.start)) @ u)
+    return span[0], span[1]
+
+
+def _panels(wall: Wall, span: tuple[float, float]) -> list[tuple[float, float, float, float]]:
+    """Returns rectangles (from, to, low, high) of a wall without its openings; heights above the floor."""
+    panels, at = [], span[0]
+    for opening in sorted(wall.openings, key=lambda o: o.middle):
+        a, b = opening.middle - opening.width / 2, opening.middle + opening.width / 2
+        panels.append((at, a, 0.0, wall.height))
+        panels.append((a, b, 0.0, opening.sill))
+        panels.append((a, b, opening.sill + opening.height, wall.height))
+        at = b
+    panels.append((at, span[1], 0.0, wall.height))
+    return [p for p in panels if p[1] - p[0] > 1e-4 and p[3] - p[2] > 1e-4]
+
+
+def _face(solid: Solid, wall: Wall, sign: float, span: tuple[float, float], storey: Storey, surface: Surface) -> None:
+    """Adds one side of a wall; its pattern and its charts run through."""
+    u, n, _ = wall_axes(wall)
+    origin = np.asarray(wall.start) + n * sign * wall.thickness / 2
+    cuts = np.linspace(*span, int(np.ceil((span[1] - span[0]) / _MAX_CHART)) + 1)
+    first = len(solid.parts)
+    for low, high, z0, z1 in _panels(wall, span):
+        for a, b in _pieces(low, high, cuts):
+            flat = np.array([(a, z0), (b, z0), (b, z1), (a, z1)])
+            if sign > 0:
+                flat = flat[::-1]
+            quad = np.column_stack([origin + flat[:, :1] * u, flat[:, 1] + storey.floor_z])
+            pattern = np.column_stack([flat[:, 0] + float(origin @ u) + 40.0, flat[:, 1], np.full(4, 7.0 * sign)])
+            part = solid.quad(quad, surface, pattern)
+            part.uv = flat[part.triangles]
+            part.chart[:] = np.searchsorted(cuts, (a + b) / 2)
+    if first < len(solid.parts):
+        rest, solid.parts = solid.parts[:first], solid.parts[first:]
+        _join(solid)
+        solid.parts = rest + solid.parts
+
+
+def _skirting(solid: Solid, wall: Wall, sign: float, span: tuple[float, float], z: float) -> None:
+    u, n, _ = wall_axes(wall)
+    inner = n * sign * wall.thickness / 2
+    at = span[0]
+    ends = [
+        (o.middle - o.width / 2 - 0.06, o.middle + o.width / 2 + 0.06)
+        for o in sorted(wall.openings, key=lambda o: o.middle)
+        if o.sill < 0.01
+    ]
+    for a, b in [*ends, (span[1], span[1])]:
+        if a - at > 0.02:
+            p = np.asarray(wall.start) + u * at + inner
+            q = np.asarray(wall.start) + u * a + inner + n * sign * _SKIRTING[0]
+            side = {(1, 0): "+x", (-1, 0): "-x", (0, 1): "+y", (0, -1): "-y"}[(round(-n[0] * sign), round(-n[1] * sign))]
+            solid.box((*p, z), (*q, z + _SKIRTING[1]), look("wood_white"), 0.004, f"-z {side}")
+        at = b
+
+
+def _shut(storey: Storey, rng: np.random.Generator, level: int) -> list[Thing]:
+    """Returns what keeps the sun out of doors to the outside: their leaves are bodies, and closed."""
+    things = []
+    for number, wall in enumerate(storey.walls):
+        u, n, _ = wall_axes(wall)
+        for opening in wall.openings:
+            if opening.kind == "door" and not (wall.left and wall.right):
+                solid, middle = Solid(rng), np.asarray(wall.start) + u * opening.middle
+                low, high = middle - u * opening.width / 2 - n * 0.01, middle + u * opening.width / 2 + n * 0.01
+                solid.box(
+                    (*low, storey.floor_z), (*high, storey.floor_z + opening.height), Surface("outside", (0.5, 0.5, 0.5)), 0
+                )
+                things.append(Thing(f"shut_{level}_{number}", "", solid, exported=False))
+    return things
+
+
+def _lids(building: Building) -> list[Thing]:
+    """Returns what keeps light out from above the highest and from below the lowest storey."""
+    surface = Surface("outside", (0.5, 0.5, 0.5))
+    ends = [(building.storeys[-1], building.storeys[-1].height + 0.3), (building.storeys[0], -0.1)]
+    things = []
+    for number, (storey, height) in enumerate(ends):
+        solid = Solid(np.random.default_rng((building.seed, 13, number)))
+        points = np.array([p for wall in storey.walls for p in (wall.start, wall.end)])
+        (x0, y0), (x1, y1) = points.min(axis=0) - 0.3, points.max(axis=0) + 0.3
+        z = storey.floor_z + height
+        solid.box((x0, y0, z), (x1, y1, z + 0.05), surface, 0)
+        things.append(Thing(f"lid_{number}", "", solid, exported=False))
+    return things

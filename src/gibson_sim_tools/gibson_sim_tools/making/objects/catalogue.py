@@ -1,0 +1,10 @@
+"""All our objects by name."""
+
+from __future__ import annotations
+
+from gibson_sim_tools.making.objects.joined import JOINED
+from gibson_sim_tools.making.objects.loose import LOOSE
+from gibson_sim_tools.making.objects.model import ObjectModel
+
+OBJECTS: dict[str, ObjectModel] = {one.name: one for one in (*LOOSE, *JOINED)}
+"""In the order of their folders' table in docs/objects.md."""

@@ -1,0 +1,93 @@
+"""Makes ``scenes/objects``: draws the pictures, lets Blender model the meshes in a process of its own, writes URDFs and the licence."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.writing import write_file
+from gibson_sim_tools import package_path
+from gibson_sim_tools.making.objects.catalogue import OBJECTS
+from gibson_sim_tools.making.objects.model import ObjectModel
+from gibson_sim_tools.making.objects.pictures import PICTURES, write_pictures
+from gibson_sim_tools.making.objects.urdf import object_urdf
+
+Progress = Callable[[str], None]
+LICENCE = """\
+All files in this folder (URDFs, meshes and the pictures in them) were made by the authors of Gibson Sim with `gibson-sim scene objects`.
+
+To the extent possible under law, they have waived all copyright and related or neighbouring rights to them: CC0 1.0 Universal,
+https://creativecommons.org/publicdomain/zero/1.0/
+"""
+_HINT = "give a Python with `pip install bpy` as --blender-python"
+_MODULE = "gibson_sim_tools.making.blender.objects"
+
+
+def make_objects(names: Sequence[str], output: Path, blender_python: str, progress: Progress) -> None:
+    """Writes objects to ``output``, a folder for each.
+
+    Args:
+        names: which; none = all.
+        output: the folder.
+        blender_python: a Python in which ``import bpy`` works.
+        progress: is told one line for every mesh.
+
+    Raises:
+        GibsonSimError: a name is not known, Blender is not there, or it fails.
+    """
+    models = chosen(names)
+    if shutil.which(blender_python) is None:
+        raise GibsonSimError(f"{blender_python} cannot be run: there is no such program; {_HINT}")
+    with tempfile.TemporaryDirectory(prefix="gibson_sim_objects_") as folder:
+        write_pictures(Path(folder), list(PICTURES))
+        _model(models, Path(folder), output, blender_python, progress)
+    for model in models:
+        write_file(output / model.name / f"{model.name}.urdf", object_urdf(model))
+    write_file(output / "LICENSE", LICENCE)
+
+
+def chosen(names: Sequence[str]) -> list[ObjectModel]:
+    """Returns the objects of these names, all if there are none.
+
+    Raises:
+        GibsonSimError: one is not known.
+    """
+    for name in names:
+        if name not in OBJECTS:
+            raise GibsonSimError(f"there is no object {name!r}; known: {', '.join(OBJECTS)}")
+    return [model for model in OBJECTS.values() if not names or model.name in names]
+
+
+def _model(models: Sequence[ObjectModel], pictures: Path, output: Path, blender_python: str, progress: Progress) -> None:
+    """Runs Blender."""
+    command = [blender_python, "-m", _MODULE, str(pictures), str(output.absolute()), *(model.name for model in models)]
+    environment = {**os.environ, "PYTHONPATH": package_path(), "PYTHONDONTWRITEBYTECODE": "1"}
+    try:
+        process = subprocess.Popen(
+            command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, encoding="utf-8", errors="replace"
+        )  # fmt: skip
+    except OSError as e:
+        raise GibsonSimError(f"{blender_python} cannot be run: {e.strerror or e}; {_HINT}") from e
+    assert process.stdout is not None
+    last = ""
+    with process:
+        for line in process.stdout:
+            if line.startswith("{"):
+                made = json.loads(line)
+                progress(f"{made['object']}: {made['file']}, {made['triangles']} triangles")
+            last = line.strip() or last
+    if process.returncode:
+        missing = "No module named 'bpy'" in last
+        raise GibsonSimError(f"{blender_python} has no Blender; {_HINT}" if missing else f"Blender failed: {last}")
+
+
+def default_blender_python() -> str:
+    """Returns the Python that is tried where none is named: this one."""
+    return sys.executable

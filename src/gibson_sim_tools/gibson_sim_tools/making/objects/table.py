@@ -1,0 +1,27 @@
+"""The table of our objects in docs/objects.md."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from gibson_sim_tools.making.objects.model import Joint, ObjectModel
+
+_HEAD = "| object | class | depth x width x height, m | mass, kg | joints |\n|---|---|---|---|---|"
+
+
+def objects_table(models: Sequence[ObjectModel]) -> str:
+    """Returns names, classes, sizes, masses and joints in Markdown."""
+    return "\n".join([_HEAD, *(_row(model) for model in models)])
+
+
+def _row(model: ObjectModel) -> str:
+    size = " x ".join(f"{edge:.3f}" for edge in model.size)
+    joints = ", ".join(_joint(joint) for joint in model.joints if joint.kind != "fixed") or "none"
+    return f"| `{model.name}` | {model.semantic_class} | {size} | {model.mass:.3g} | {joints} |"
+
+
+def _joint(joint: Joint) -> str:
+    if joint.kind == "prismatic":
+        return f"`{joint.name}` {joint.lower:g} to {joint.upper:g} m"
+    return f"`{joint.name}` {math.degrees(joint.lower):.0f} to {math.degrees(joint.upper):.0f}°"

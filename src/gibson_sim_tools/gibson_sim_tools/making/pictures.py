@@ -1,0 +1,60 @@
+"""Pictures of a finished scene: its thumbnail, and views for whoever judges it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pose_from_xyz_rpy, quat_from_matrix
+from gibson_sim.picture_files import write_picture
+from gibson_sim.simulation import Simulation
+from gibson_sim.types import CameraSpec, Pose, Vec3
+from gibson_sim_tools.making.building import Building, Room, Start
+
+Rgb = NDArray[np.uint8]
+WIDTH, HEIGHT = 640, 480
+EYE_HEIGHT = 1.35
+"""Metres above the floor."""
+_TILT = math.radians(8.0)
+_FOV = math.radians(62.0)
+
+
+def eye(position: Vec3, yaw: float, pitch: float = _TILT) -> CameraSpec:
+    """Returns a camera that stands in the scene; ``pitch`` is downwards, radians."""
+    T = matrix_from_pose(pose_from_xyz_rpy(position, (0.0, pitch, yaw)))
+    return CameraSpec(
+        "eye", "", Pose(position, quat_from_matrix(T[:3, :3] @ R_LINK_OPTICAL)), WIDTH, HEIGHT, _FOV, outputs=("rgb",), samples=4
+    )
+
+
+def views(folder: Path, cameras: Sequence[CameraSpec]) -> list[Rgb]:
+    """Returns pictures of a scene with its bodies where they start, (480, 640, 3) uint8 sRGB."""
+    with Simulation(folder, None) as sim:
+        return [frame.rgb for frame in sim.render_all(cameras) if frame.rgb is not None]
+
+
+def write_thumbnail(folder: Path, building: Building) -> None:
+    """Writes ``thumbnail.jpg``, the view from the first start in the largest room."""
+    start = best_start(building)
+    x, y, z = start.position
+    picture = views(folder, [eye((x, y, z + EYE_HEIGHT), start.yaw)])[0]
+    small = cv2.resize(picture, (WIDTH // 2, HEIGHT // 2), interpolation=cv2.INTER_AREA)
+    write_picture(folder / "thumbnail.jpg", cv2.cvtColor(small, cv2.COLOR_RGB2BGR))
+
+
+def best_start(building: Building) -> Start:
+    """Returns the start in the largest room, or the first one."""
+    rooms = sorted((room for storey in building.storeys for room in storey.rooms), key=_area, reverse=True)
+    by_name = {start.name: start for start in building.starts}
+    return next((by_name[room.name] for room in rooms if room.name in by_name), building.starts[0])
+
+
+def _area(room: Room) -> float:
+    """Returns the area of a room, square metres (shoelace formula)."""
+    x, y = np.asarray(room.corners, dtype=float).T
+    return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2

@@ -1,0 +1,96 @@
+"""What hangs on walls and stands in corners of any room: radiators, curtains, pictures, plants."""
+
+from __future__ import annotations
+
+import math
+
+from gibson_sim_tools.making.catalogue import CATALOGUE
+from gibson_sim_tools.making.planning.rooms import Face
+from gibson_sim_tools.making.planning.space import FurnishedRoom, Part
+
+_CURTAINED = ("living", "bedroom", "study")
+
+
+def hang_radiators(room: FurnishedRoom) -> None:
+    """Hangs a radiator below each window that is high and wide enough, except where counters come."""
+    if room.kind in ("kitchen", "kitchenette", "shop", "storage", "toilet"):
+        return
+    for window in room.view.windows:
+        width = min(1.4, window.opening.width - 0.1)
+        if width >= 0.6:
+            size = room.size("radiator", width=width)
+            room.place([room.on_wall("radiator", window.face, window.opening.middle, size, room.lift("radiator"), 0.02)])
+
+
+def dress_windows(room: FurnishedRoom) -> None:
+    """Hangs a curtain on both sides of a window, or none."""
+    if room.kind not in _CURTAINED or room.rng.random() < 0.15:
+        return
+    for window in room.view.windows:
+        size = room.size("curtain", height=min(room.height - 0.2, 2.4))
+        half = (window.opening.width + size[1]) / 2
+        lift = room.lift("curtain")
+        room.place([room.on_wall("curtain", window.face, window.opening.middle + s * half, size, lift) for s in (-1, 1)])
+
+
+def hang_above(room: FurnishedRoom, kind: str, part: Part, face: Face, *, spare: float = 0.25) -> bool:
+    """Hangs something on the wall above a piece, in its middle.
+
+    Args:
+        room: that both are in.
+        kind: what to hang.
+        part: what stands below.
+        face: the wall.
+        spare: least distance between the two, metres.
+    """
+    along = (part.middle[0] - face.start[0]) * face.along[0] + (part.middle[1] - face.start[1]) * face.along[1]
+    limits = CATALOGUE[kind].lift
+    low = max(limits[0], part.lift + part.size[2] + spare)
+    size = room.size(
+        kind, width=min(float(room.rng.uniform(*CATALOGUE[kind].width)), max(part.size[1] - 0.1, CATALOGUE[kind].width[0]))
+    )
+    return low <= limits[1] + 0.15 and room.place(
+        [room.on_wall(kind, face, along, size, max(low, min(room.lift(kind), limits[1])), 0.005)]
+    )
+
+
+def hang_pictures(room: FurnishedRoom, count: int) -> None:
+    """Hangs pictures where walls are bare, in the middle of what is free."""
+    hung: list[Part] = []
+    for _ in range(count):
+        size, lift = room.size("painting"), room.lift("painting")
+
+        def bare(face: Face, along: float) -> float:
+            point = face.point(along)
+            apart = min((math.dist(point, p.middle) for p in hung), default=3.0)
+            return 2.0 * min(apart, 3.0) + min(room.corner_gap(face, along, 0.4), 1.2) - (1.0 if face.outer else 0.0)
+
+        for face, along in room.spots(size[1] + 0.3, score=bare, step=0.25):
+            part = room.on_wall("painting", face, along, size, lift, 0.005)
+            if room.place([part]):
+                hung.append(part)
+                break
+
+
+def fill_corners(room: FurnishedRoom, kind: str, count: int) -> None:
+    """Puts something into free corners, those far from doors first."""
+    for _ in range(count):
+        size = room.size(kind)
+        side = max(size[0], size[1])
+        half = size[1] / 2 + 0.06
+        corners = [
+            (face, along)
+            for face in room.view.sides
+            for along in (face.low + half, face.high - half)
+            if _in_corner(room, face, along)
+        ]
+        corners.sort(key=lambda spot: -room.distance_to_doors(spot[0].point(spot[1], side)) + float(room.rng.random()))
+        for face, along in corners:
+            if face.length > side + 0.3 and room.place([room.on_wall(kind, face, along, size, gap=0.06)]):
+                break
+
+
+def _in_corner(room: FurnishedRoom, face: Face, along: float) -> bool:
+    """Returns whether the nearer end of a wall meets another, rather than turning away from the room."""
+    end = face.low - 0.05 if along < (face.low + face.high) / 2 else face.high + 0.05
+    return not any(cell.holds(face.point(end, 0.1)) for cell in room.view.cells)

@@ -1,0 +1,110 @@
+"""Loose things: on tables and counters, and a few on the floor."""
+
+from __future__ import annotations
+
+from gibson_sim_tools.making.building import Body
+from gibson_sim_tools.making.catalogue import CATALOGUE
+from gibson_sim_tools.making.planning.objects import SIZES
+from gibson_sim_tools.making.planning.rectangles import Rect, around
+from gibson_sim_tools.making.planning.rooms import Face
+from gibson_sim_tools.making.planning.space import FurnishedRoom, Part
+
+_ON: dict[str, tuple[str, ...]] = {
+    # What lies on each kind of piece.
+    "coffee_table": ("remote_control", "book_a", "mug", "candle", "bowl", "book_stack", "glass_tumbler"),
+    "tv_board": ("vase", "remote_control", "clock", "book_b", "candle"),
+    "sideboard": ("vase", "book_stack", "bowl", "candle", "clock", "teapot"),
+    "dining_table": ("plate", "glass_tumbler", "bowl", "bottle_wine", "fruit_apple", "fruit_orange", "teapot", "cup", "vase"),
+    "kitchen_counter": ("bottle_water", "bottle_wine", "can_food", "box_cereal", "mug", "bowl", "fruit_orange", "teapot", "cup"),
+    "nightstand": ("book_b", "clock", "glass_tumbler", "mug", "candle"),
+    "chest_of_drawers": ("vase", "box_small", "book_a", "clock", "candle"),
+    "washing_machine": ("box_small", "bottle_water"),
+    "shoe_cabinet": ("bowl", "vase", "book_b", "box_small"),
+    "desk": ("pen_cup", "mug", "book_a", "book_stack", "book_b", "bottle_water"),
+    "filing_cabinet": ("box_small", "book_stack", "vase"),
+    "meeting_table": ("bottle_water", "glass_tumbler", "laptop", "cup", "glass_tumbler"),
+    "till": ("box_small", "can_soda", "pen_cup"),
+}
+_DENSITY: dict[str, tuple[int, int]] = {
+    "dining_table": (4, 8),
+    "kitchen_counter": (1, 4),
+    "meeting_table": (4, 7),
+    "coffee_table": (2, 4),
+    "desk": (1, 3),
+}
+_FLOOR: dict[str, tuple[str, ...]] = {
+    "living": ("basket", "toy_ball"),
+    "bedroom": ("basket", "ball"),
+    "study": ("bin_waste",),
+    "kitchen": ("bin_waste",),
+    "kitchenette": ("bin_waste",),
+    "bathroom": ("bin_waste", "basket", "stool"),
+    "office": ("bin_waste",),
+    "open_office": ("bin_waste", "bin_waste", "box_cardboard"),
+    "meeting": ("bin_waste",),
+    "storage": ("box_cardboard", "box_cardboard", "box_cardboard"),
+    "shop": ("basket", "box_cardboard"),
+}
+
+
+def scatter(room: FurnishedRoom) -> None:
+    """Puts loose things on everything that has a top, and a few on the floor."""
+    for part in list(room.parts):
+        if not part.movable and CATALOGUE[part.kind].top:
+            _lay_out(room, part)
+    for model in _FLOOR.get(room.kind, ()):
+        if room.rng.random() < 0.75:
+            put_on_floor(room, model)
+
+
+def put_on_floor(room: FurnishedRoom, model: str) -> None:
+    """Puts a body against a wall, where it is in nobody's way."""
+    size = SIZES[model]
+
+    def aside(face: Face, along: float) -> float:
+        return room.distance_to_doors(face.point(along, 0.3)) - 1.5 * room.corner_gap(face, along, size[1])
+
+    room.place_first(
+        ([Part(model, _rounded(face.point(along, size[0] / 2 + 0.04)), face.yaw, size, movable=True)], [])
+        for face, along in room.spots(size[1] + 0.06, score=aside, step=0.2)
+    )
+
+
+def _lay_out(room: FurnishedRoom, part: Part) -> None:
+    """Lays things out on one top, apart from each other."""
+    low, high = _DENSITY.get(part.kind, (0, 3))
+    wanted = int(room.rng.integers(low, high + 1))
+    choice = _ON.get(part.kind, ("vase", "book_stack"))
+    top = part.lift + part.size[2]
+    # What stands on it, or hangs so low above it that nothing goes below.
+    taken = [
+        p.rect.grown(0.02)
+        for p in room.parts
+        if p is not part and p.lift < top + 0.4 and p.lift + p.size[2] > top and p.rect.overlaps(part.rect)
+    ]
+    area = part.rect.grown(-0.03)
+    pool = [choice[int(n)] for n in room.rng.permutation(len(choice))]
+    for model in (pool * 2)[:wanted]:
+        size = SIZES[model]
+        for _ in range(12):
+            yaw = round(part.yaw + float(room.rng.uniform(-0.5, 0.5)), 4)
+            middle = (float(room.rng.uniform(area.x0, area.x1)), float(room.rng.uniform(area.y0, area.y1)))
+            rect = around(middle, yaw, size[0], size[1])
+            if rect.shared(area) >= rect.area - 1e-9 and not any(rect.overlaps(t) for t in taken):
+                _add(room, model, middle, top, yaw, rect, taken)
+                break
+
+
+def _add(
+    room: FurnishedRoom, model: str, middle: tuple[float, float], top: float, yaw: float, rect: Rect, taken: list[Rect]
+) -> None:
+    """Adds one loose thing."""
+    taken.append(rect.grown(0.015))
+    name = room.things.name(f"{room.view.room.name}_{model}")
+    x, y = _rounded(middle)
+    room.add_body(Body(name, model, (x, y, round(room.floor_z + top, 4)), yaw))
+
+
+def _rounded(point: tuple[float, float]) -> tuple[float, float]:
+    """Returns a point in whole tenths of millimetres."""
+    return (round(point[0], 4), round(point[1], 4))

@@ -1,0 +1,55 @@
+"""Leaves of doors: how far each stands open. Most are open, so that a robot can go everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gibson_sim_tools.making.building import Body, Storey, Wall
+from gibson_sim_tools.making.planning.objects import door_body
+
+_OPEN = (1.15, 1.35, 1.5, 1.55)
+"""Angles of open doors, radians."""
+_SLID = (0.75, 0.88)
+"""The same of sliding doors, metres."""
+
+
+def hang_doors(storeys: Sequence[Storey], rng: np.random.Generator) -> list[Body]:
+    """Returns the leaves of all doors.
+
+    Those to the outside are closed. Of each storey at most one other is: one that there is a way round.
+    """
+    bodies: list[Body] = []
+    for storey in storeys:
+        doors = [(wall, opening) for wall in storey.walls for opening in wall.openings if opening.kind == "door"]
+        spare = [
+            wall for wall, _ in doors if wall.left and wall.right and _all_joined([w for w in storey.walls if w is not wall])
+        ]
+        closed = spare[int(rng.integers(len(spare)))] if spare and rng.random() < 0.5 else None
+        for wall, opening in doors:
+            outer = not (wall.left and wall.right)
+            angle = float(rng.choice(_SLID if opening.body.startswith("sliding") else _OPEN))
+            room = wall.left if opening.swing > 0 else wall.right
+            stem = "front_door" if outer else f"{room}_door_closed" if wall is closed else f"{room}_door"
+            taken = sum(b.name == stem or b.name.startswith(f"{stem}_") for b in bodies)
+            bodies.append(
+                door_body(
+                    f"{stem}_{taken + 1}" if taken else stem,
+                    wall,
+                    opening,
+                    storey.floor_z,
+                    0.0 if outer or wall is closed else angle,
+                )
+            )
+    return bodies
+
+
+def _all_joined(walls: Sequence[Wall]) -> bool:
+    """Returns whether doors and passages in these walls join all rooms."""
+    pairs = [(w.left, w.right) for w in walls if w.left and w.right and any(o.kind != "window" for o in w.openings)]
+    rooms = {room for w in walls for room in (w.left, w.right) if room}
+    reached = {min(rooms)}
+    while more := {room for pair in pairs for room in pair if reached & set(pair)} - reached:
+        reached |= more
+    return reached == rooms

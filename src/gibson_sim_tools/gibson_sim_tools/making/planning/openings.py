@@ -1,0 +1,175 @@
+"""Doors, passages and windows: where they come in the walls of a storey."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from gibson_sim_tools.making.building import Opening, Point, Wall
+from gibson_sim_tools.making.planning.layout import Level, Link
+from gibson_sim_tools.making.planning.objects import DOOR_HEIGHT, door_model
+from gibson_sim_tools.making.planning.rectangles import Rect
+from gibson_sim_tools.making.planning.rooms import Face, door_zones, face_of, window_zone
+
+_MARGIN = 0.24
+"""From the end of a wall's middle line to an opening: half a wall, and what a door needs to turn."""
+
+
+def with_doors(walls: tuple[Wall, ...], links: tuple[Link, ...], rng: np.random.Generator) -> tuple[Wall, ...] | None:
+    """Returns the walls with a door or a passage for each link; None where one finds no place."""
+    current = list(walls)
+    for link in links:
+        places = [(index, opening) for index, wall in enumerate(current) for opening in _places(wall, link, rng)]
+        if link.near is not None:
+            near = link.near
+            places.sort(key=lambda place: round(math.dist(_on(current[place[0]], place[1].middle), near), 3))
+        for index, opening in places:
+            if _is_free(current, current[index], opening):
+                current[index] = replace(current[index], openings=(*current[index].openings, opening))
+                break
+        else:
+            return None
+    return tuple(current)
+
+
+def _on(wall: Wall, along: float) -> Point:
+    """Returns a point of a wall's middle line."""
+    part = along / math.dist(wall.start, wall.end)
+    return (wall.start[0] + (wall.end[0] - wall.start[0]) * part, wall.start[1] + (wall.end[1] - wall.start[1]) * part)
+
+
+def _places(wall: Wall, link: Link, rng: np.random.Generator) -> list[Opening]:
+    """Returns what may be made of a link in a wall, the best first: doors near a corner, hung on that side."""
+    if {wall.left, wall.right} != {link.from_room, link.to_room}:
+        return []
+    length = math.dist(wall.start, wall.end)
+    low, high = _MARGIN + link.width / 2, length - _MARGIN - link.width / 2
+    if low > high:
+        return []
+    middles = [float(m) for m in np.linspace(low, high, max(2, math.ceil((high - low) / 0.1)))]
+    order = sorted(middles, key=lambda m: min(m - low, high - m) + 0.01 * rng.random())
+    return [_opening(wall, link, round(m, 3), "start" if m - low < high - m else "end") for m in order]
+
+
+def _opening(wall: Wall, link: Link, middle: float, hinge: str) -> Opening:
+    """Returns the door or passage of a link."""
+    if link.kind == "passage":
+        return Opening("passage", middle, link.width, 0.0, 2.1)
+    swing = 1 if wall.left == link.to_room else -1
+    if link.sliding:
+        return Opening("door", middle, 0.9, 0.0, DOOR_HEIGHT, swing, "end" if hinge == "start" else "start", "sliding_door_90")
+    side = "start" if hinge == "start" else "end"
+    return Opening("door", middle, link.width, 0.0, DOOR_HEIGHT, swing, side, door_model(link.width, swing, side))  # type: ignore[arg-type]
+
+
+def _is_free(walls: list[Wall], wall: Wall, opening: Opening) -> bool:
+    """Returns whether neither the leaf of this door nor that of another comes in the way."""
+    for room in (wall.left, wall.right):
+        if not room:
+            continue
+        zones = door_zones(face_of(wall, room), opening)
+        for other_wall in walls:
+            if room not in (other_wall.left, other_wall.right):
+                continue
+            face = face_of(other_wall, room)
+            for other in other_wall.openings:
+                apart = (
+                    0.3
+                    if other_wall is wall and abs(other.middle - opening.middle) < (other.width + opening.width) / 2 + 0.3
+                    else 0.0
+                )
+                turns = _turns_here(face, other) or _turns_here(face_of(wall, room), opening)
+                if apart or (turns and any(a.overlaps(b) for a in zones for b in door_zones(face, other))):
+                    return False
+    if opening.body.startswith("sliding"):
+        length = math.dist(wall.start, wall.end)
+        reach = opening.middle + (1.5 if opening.hinge == "end" else -1.5)
+        return 0.1 < reach < length - 0.1
+    return True
+
+
+def _turns_here(face: Face, opening: Opening) -> bool:
+    """Returns whether the leaf of an opening is on this side of its wall."""
+    return opening.kind == "door" and opening.swing == face.side
+
+
+_WINDOWS: dict[str, tuple[float, float, float, float]] = {
+    # Least and largest width, sill, height.
+    "living": (1.4, 2.1, 0.9, 1.35),
+    "bedroom": (1.1, 1.6, 0.9, 1.3),
+    "study": (1.1, 1.5, 0.9, 1.3),
+    "kitchen": (0.9, 1.2, 1.08, 1.1),
+    "kitchenette": (0.9, 1.2, 1.08, 1.1),
+    "bathroom": (0.5, 0.7, 1.35, 0.75),
+    "toilet": (0.4, 0.6, 1.35, 0.7),
+    "hall": (0.7, 0.9, 0.9, 1.25),
+    "corridor": (0.7, 1.0, 0.9, 1.25),
+    "storage": (0.6, 0.8, 1.4, 0.7),
+    "office": (1.3, 1.7, 0.9, 1.5),
+    "open_office": (1.4, 1.8, 0.9, 1.5),
+    "meeting": (1.3, 1.7, 0.9, 1.5),
+    "shop": (1.8, 2.6, 0.45, 1.95),
+}
+_MANY = ("living", "open_office", "meeting", "office", "shop", "bedroom")
+"""Rooms with windows in more than one wall."""
+
+
+def with_windows(
+    walls: tuple[Wall, ...], level: Level, keep_off: tuple[Rect, ...], front: Rect, rng: np.random.Generator
+) -> tuple[Wall, ...]:
+    """Returns the walls with windows in those to the outside.
+
+    Args:
+        walls: of the storey, with their doors.
+        level: what rooms there are.
+        keep_off: stairs; no window comes beside them.
+        front: where the entrance is; a shop has its windows on that side only.
+        rng: decides number and width.
+    """
+    current = list(walls)
+    for space in level.spaces:
+        if space.name in level.windowless:
+            continue
+        outer = [n for n, w in enumerate(current) if {w.left, w.right} == {space.name, ""} and math.dist(w.start, w.end) > 1.2]
+        outer.sort(key=lambda n: -round(math.dist(current[n].start, current[n].end), 2))
+        if space.kind == "shop":
+            outer = [n for n in outer if front.holds(_on(current[n], math.dist(current[n].start, current[n].end) / 2))]
+        for rank, index in enumerate(outer):
+            if rank and (space.kind not in _MANY or rng.random() > 0.55):
+                continue
+            wall = current[index]
+            added = tuple(
+                o
+                for o in _windows(wall, space.kind, rng)
+                if not any(window_zone(face_of(wall, space.name), o).overlaps(r) for r in keep_off)
+            )
+            current[index] = replace(wall, openings=wall.openings + added)
+    return tuple(current)
+
+
+def _windows(wall: Wall, kind: str, rng: np.random.Generator) -> list[Opening]:
+    """Returns the windows of one wall, at equal distances, without those that would meet a door."""
+    least, largest, sill, height = _WINDOWS[kind]
+    wanted = round(float(rng.uniform(least, largest)), 2)
+    found: list[Opening] = []
+    for start, end in _between_doors(wall):
+        width = round(min(wanted, end - start - 0.3), 2)
+        if width < 0.35 or (kind in _MANY and width < 0.7 * least) or (found and kind not in _MANY):
+            continue
+        count = max(1, int((end - start + 0.3) / (width + (0.5 if kind == "shop" else 1.3)))) if kind in _MANY else 1
+        shift = float(rng.uniform(-0.2, 0.2)) * max(0.0, end - start - width - 0.8) if count == 1 else 0.0
+        spots = (round(start + (end - start) * (n + 0.5) / count + shift, 3) for n in range(count))
+        found += [Opening("window", spot, width, sill, height) for spot in spots]
+    return found
+
+
+def _between_doors(wall: Wall) -> list[tuple[float, float]]:
+    """Returns the parts of a wall that doors leave, the longest first."""
+    low, high = 0.3, math.dist(wall.start, wall.end) - 0.3
+    parts = []
+    for door in sorted(wall.openings, key=lambda o: o.middle):
+        parts.append((low, door.middle - door.width / 2 - 0.25))
+        low = door.middle + door.width / 2 + 0.25
+    return sorted([*parts, (low, high)], key=lambda part: part[0] - part[1])

@@ -1,0 +1,259 @@
+"""From a kind of building and a seed to the whole plan."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from gibson_sim.errors import ConfigError
+from gibson_sim.types import Vec3
+from gibson_sim_tools.making.building import Building, BuildingKind, Piece, Point, Room, Stair, Start, Storey, Wall
+from gibson_sim_tools.making.planning.floor_grid import FloorGrid
+from gibson_sim_tools.making.planning.furnishing import furnish
+from gibson_sim_tools.making.planning.homes import flat_layout, house_layout
+from gibson_sim_tools.making.planning.layout import Flight, Layout, Level, turned
+from gibson_sim_tools.making.planning.leaves import hang_doors
+from gibson_sim_tools.making.planning.materials import Palette, palette, surfaces
+from gibson_sim_tools.making.planning.openings import with_doors, with_windows
+from gibson_sim_tools.making.planning.rectangles import Rect, spanning
+from gibson_sim_tools.making.planning.rooms import room_view
+from gibson_sim_tools.making.planning.space import FurnishedRoom, Furnishings
+from gibson_sim_tools.making.planning.walls import outline, walls_of
+from gibson_sim_tools.making.planning.workplaces import office_layout, shop_layout
+
+KINDS: Mapping[BuildingKind, Callable[[np.random.Generator], Layout]] = {
+    "flat": flat_layout,
+    "house": house_layout,
+    "office": office_layout,
+    "shop": shop_layout,
+}
+_ATTEMPTS = 60
+_ROOM_ATTEMPTS = 8
+_OPENING = ("cabinet_drawers", "cabinet_doors")
+"""Furniture that opens; every home has some."""
+ROBOT_RADIUS = 0.22
+"""Of the robot that can go everywhere, metres."""
+LANDING = 0.9
+"""Floor that stays free at both ends of a stair, metres."""
+
+
+def plan_building(kind: BuildingKind, seed: int, name: str = "") -> Building:
+    """Returns the plan of a building; the same kind and seed give the same plan.
+
+    Args:
+        kind: of building.
+        seed: 0 or more.
+        name: of the building; empty = made of kind and seed.
+
+    Raises:
+        ConfigError: the kind is unknown or the seed is negative.
+    """
+    if kind not in KINDS:
+        raise ConfigError(f"building kind {kind!r} is unknown; known: {', '.join(KINDS)}")
+    if seed < 0:
+        raise ConfigError(f"seed {seed} is negative; give 0 or more")
+    for attempt in range(_ATTEMPTS):
+        rng = np.random.default_rng([list(KINDS).index(kind), seed, attempt])
+        building = _attempt(kind, seed, name or f"{kind}_{seed}", rng)
+        if building is not None:
+            return building
+    raise ConfigError(f"no {kind} could be planned with seed {seed} in {_ATTEMPTS} attempts; give another seed")
+
+
+def _attempt(kind: BuildingKind, seed: int, name: str, rng: np.random.Generator) -> Building | None:
+    """Returns a plan, or None where a door or a piece of furniture that must be has found no place."""
+    layout = turned(KINDS[kind](rng), rng)
+    colours = palette(kind, rng)
+    stairs = tuple(_stair(flight) for flight in layout.flights)
+    storeys = []
+    for number, level in enumerate(layout.levels):
+        storey = _storey(layout, number, level, colours, rng)
+        if storey is None:
+            return None
+        storeys.append(storey)
+    things = Furnishings(rng)
+    for number, storey in enumerate(storeys):
+        _put_railings(things, layout, number)
+        for room in storey.rooms:
+            if not _is_furnished(things, layout, number, storey, room, workplace=kind in ("office", "shop")):
+                return None
+    if kind in ("flat", "house") and not any(body.model in _OPENING for body in things.bodies):
+        return None
+    doors = hang_doors(storeys, rng)
+    azimuth, elevation = float(rng.uniform(0.0, 2 * math.pi)), math.radians(float(rng.uniform(28.0, 48.0)))
+    sun = (math.cos(azimuth) * math.cos(elevation), math.sin(azimuth) * math.cos(elevation), -math.sin(elevation))
+    building = Building(
+        name=name,
+        kind=kind,
+        seed=seed,
+        storeys=tuple(storeys),
+        pieces=tuple(things.pieces),
+        bodies=(*doors, *things.bodies),
+        lamps=tuple(things.lamps),
+        starts=(),
+        stairs=stairs,
+        sun_direction=_rounded(sun),
+        sun=round(float(rng.uniform(2.5, 4.0)), 2),
+        sky=round(float(rng.uniform(0.8, 1.3)), 2),
+    )
+    starts = _starts(building)
+    return replace(building, starts=starts) if starts else None
+
+
+def _rounded(values: Vec3) -> Vec3:
+    """Returns a vector in whole tenths of millimetres."""
+    return (round(values[0], 4), round(values[1], 4), round(values[2], 4))
+
+
+def _storey(layout: Layout, number: int, level: Level, colours: Palette, rng: np.random.Generator) -> Storey | None:
+    """Returns one storey with walls, doors, windows and materials."""
+    walls = with_doors(walls_of(level.spaces, layout.partition, level.height), level.links, rng)
+    if walls is None:
+        return None
+    walls = with_windows(walls, level, _blocked(layout, number), _front(walls), rng)
+    rooms = []
+    for space in level.spaces:
+        floor, surface = surfaces(colours, space.kind, rng)
+        rooms.append(Room(space.name, space.kind, outline(space), floor, surface))
+    floor_z = round(number * (level.height + layout.slab), 4)
+    return Storey(floor_z, level.height, tuple(rooms), walls)
+
+
+def _front(walls: tuple[Wall, ...]) -> Rect:
+    """Returns the line of the wall with the entrance."""
+    doors = [w for w in walls if any(o.kind == "door" for o in w.openings) and "" in (w.left, w.right)]
+    if not doors:
+        return Rect(0.0, 0.0, 0.0, 0.0)
+    line = spanning((doors[0].start, doors[0].end))
+    return Rect(line.x0, -1e3, line.x1, 1e3) if line.width == 0 else Rect(-1e3, line.y0, 1e3, line.y1)
+
+
+def _stair(flight: Flight) -> Stair:
+    """Returns the stair of a flight."""
+    dx, dy = flight.top[0] - flight.foot[0], flight.top[1] - flight.foot[1]
+    h = flight.hole
+    hole = ((h.x0, h.y0), (h.x1, h.y0), (h.x1, h.y1), (h.x0, h.y1))
+    tread = round(math.hypot(dx, dy) / (flight.steps - 1), 4)
+    return Stair(0, flight.foot, round(math.atan2(dy, dx), 6) + 0.0, flight.width, tread, flight.steps, hole)
+
+
+def flight_rect(foot: Point, yaw: float, width: float, length: float, before: float = 0.0) -> Rect:
+    """Returns what a flight covers, seen from above; with ``before``, the floor before it instead."""
+    cos, sin = round(math.cos(yaw)), round(math.sin(yaw))
+    start, end = (-before, 0.0) if before else (0.0, length)
+    return spanning(
+        (foot[0] + cos * at - sin * aside, foot[1] + sin * at + cos * aside)
+        for at in (start, end)
+        for aside in (-width / 2, width / 2)
+    )
+
+
+def _blocked(layout: Layout, number: int) -> tuple[Rect, ...]:
+    """Returns flights and holes of a storey, which are no floor."""
+    flights = tuple(spanning((*_edge(f, f.foot), *_edge(f, f.top))) for f in layout.flights if number == 0)
+    return flights + tuple(f.hole for f in layout.flights if number == 1)
+
+
+def _edge(flight: Flight, middle: Point) -> tuple[Point, Point]:
+    """Returns the ends of the edge at which a flight begins or ends."""
+    upright = flight.foot[0] == flight.top[0]
+    half = flight.width / 2
+    dx, dy = (half, 0.0) if upright else (0.0, half)
+    return (middle[0] - dx, middle[1] - dy), (middle[0] + dx, middle[1] + dy)
+
+
+def _ways(layout: Layout, number: int, room: str) -> list[tuple[Point, Rect]]:
+    """Returns the foot or the top of stairs in a room: a point to be reached, and the floor that stays free."""
+    found = []
+    for f in layout.flights:
+        yaw = math.atan2(f.top[1] - f.foot[1], f.top[0] - f.foot[0])
+        if number == 0 and room == f.lower_room:
+            found.append((_towards(f.foot, yaw, -0.45), flight_rect(f.foot, yaw, f.width, 0.0, LANDING)))
+        if number == 1 and room == f.upper_room:
+            found.append((_towards(f.top, yaw, 0.45), flight_rect(f.top, yaw + math.pi, f.width, 0.0, LANDING)))
+    return found
+
+
+def _towards(point: Point, yaw: float, distance: float) -> Point:
+    """Returns the point so far in a direction."""
+    return (point[0] + math.cos(yaw) * distance, point[1] + math.sin(yaw) * distance)
+
+
+def _put_railings(things: Furnishings, layout: Layout, number: int) -> None:
+    """Puts a railing along the open long side of each hole."""
+    if number != 1:
+        return
+    level = layout.levels[1]
+    for flight in layout.flights:
+        hall = next(s for s in level.spaces if s.name == flight.upper_room).rects[0]
+        hole, thick = flight.hole, 0.05
+        if flight.foot[0] == flight.top[0]:
+            left = hall.x1 - hole.x1 > hole.x0 - hall.x0
+            middle, length = ((hole.x1 + thick / 2) if left else (hole.x0 - thick / 2), (hole.y0 + hole.y1) / 2), hole.depth
+            yaw = 0.0 if left else math.pi
+        else:
+            low = hall.y1 - hole.y1 > hole.y0 - hall.y0
+            middle, length = ((hole.x0 + hole.x1) / 2, (hole.y1 + thick / 2) if low else (hole.y0 - thick / 2)), hole.width
+            yaw = math.pi / 2 if low else -math.pi / 2
+        floor_z = round(level.height + layout.slab, 4)
+        position = _rounded((middle[0], middle[1], floor_z))
+        size = (thick, round(length - 0.01, 3), 0.95)
+        things.pieces.append(Piece(things.name("railing"), "railing", 1, flight.upper_room, position, round(yaw, 6), size))
+
+
+def _is_furnished(things: Furnishings, layout: Layout, number: int, storey: Storey, room: Room, *, workplace: bool) -> bool:
+    """Furnishes a room, and returns whether that worked; several tries, since one piece may have taken the place of the next."""
+    railings = [p for p in things.pieces if p.kind == "railing" and p.room == room.name]
+    blocked = [*_blocked(layout, number), *(_footprint(p) for p in railings)]
+    view = room_view(storey, room, blocked)
+    for attempt in range(_ROOM_ATTEMPTS):
+        mark = things.mark()
+        furnished = FurnishedRoom(
+            view,
+            number,
+            storey.floor_z,
+            storey.height,
+            things,
+            _ways(layout, number, room.name),
+            strict=attempt < _ROOM_ATTEMPTS - 3,
+            curtains=attempt < _ROOM_ATTEMPTS - 1,
+            workplace=workplace,
+        )
+        if furnish(furnished):
+            return True
+        things.rewind(mark)
+    return False
+
+
+def _footprint(piece: Piece) -> Rect:
+    """Returns what a piece covers, seen from above."""
+    cos, sin = abs(round(math.cos(piece.yaw))), abs(round(math.sin(piece.yaw)))
+    half_x, half_y = (cos * piece.size[0] + sin * piece.size[1]) / 2, (sin * piece.size[0] + cos * piece.size[1]) / 2
+    x, y, _ = piece.position
+    return Rect(x - half_x, y - half_y, x + half_x, y + half_y)
+
+
+def _starts(building: Building) -> tuple[Start, ...] | None:
+    """Returns the most open place of each room, looking to its middle; None where a room has none that a robot can reach."""
+    starts = []
+    for number, storey in enumerate(building.storeys):
+        views = {room.name: room_view(storey, room, blocked(building, number)) for room in storey.rooms}
+        grid = FloorGrid(building, number, views, with_bodies=True)
+        for view in views.values():
+            point = grid.most_open(view.cells, ROBOT_RADIUS)
+            if point is None:
+                return None
+            middle = max(view.cells, key=lambda c: c.area).middle
+            yaw = math.atan2(middle[1] - point[1], middle[0] - point[0])
+            starts.append(Start(view.room.name, _rounded((point[0], point[1], storey.floor_z)), round(yaw, 3)))
+    return tuple(starts)
+
+
+def blocked(building: Building, number: int) -> tuple[Rect, ...]:
+    """Returns flights and holes of a storey: what is no floor."""
+    found = [flight_rect(s.foot, s.yaw, s.width, (s.steps - 1) * s.tread) for s in building.stairs if s.storey == number]
+    found += [spanning(s.hole) for s in building.stairs if s.storey + 1 == number]
+    return tuple(found)

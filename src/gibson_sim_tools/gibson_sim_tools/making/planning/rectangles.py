@@ -1,0 +1,126 @@
+"""Rectangles and boxes along the axes: what plans are made of. Plain numbers, metres."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from gibson_sim_tools.making.building import Point
+
+EPSILON = 1e-6
+
+
+class Rect(NamedTuple):
+    """A rectangle along the axes of the plan."""
+
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+
+    @property
+    def width(self) -> float:
+        """Along x."""
+        return self.x1 - self.x0
+
+    @property
+    def depth(self) -> float:
+        """Along y."""
+        return self.y1 - self.y0
+
+    @property
+    def area(self) -> float:
+        """Square metres."""
+        return self.width * self.depth
+
+    @property
+    def middle(self) -> Point:
+        """Its middle."""
+        return ((self.x0 + self.x1) / 2, (self.y0 + self.y1) / 2)
+
+    def grown(self, margin: float) -> Rect:
+        """Returns it with every edge moved outwards by a margin."""
+        return Rect(self.x0 - margin, self.y0 - margin, self.x1 + margin, self.y1 + margin)
+
+    def overlaps(self, other: Rect) -> bool:
+        """Returns whether the two share an area; to touch is not to overlap."""
+        return (
+            self.x0 < other.x1 - EPSILON
+            and other.x0 < self.x1 - EPSILON
+            and self.y0 < other.y1 - EPSILON
+            and other.y0 < self.y1 - EPSILON
+        )
+
+    def shared(self, other: Rect) -> float:
+        """Returns the area that the two share."""
+        width = min(self.x1, other.x1) - max(self.x0, other.x0)
+        depth = min(self.y1, other.y1) - max(self.y0, other.y0)
+        return max(width, 0.0) * max(depth, 0.0)
+
+    def holds(self, point: Point) -> bool:
+        """Returns whether a point lies in it or on its edge."""
+        return self.x0 - EPSILON <= point[0] <= self.x1 + EPSILON and self.y0 - EPSILON <= point[1] <= self.y1 + EPSILON
+
+
+class Box(NamedTuple):
+    """A box along the axes: a rectangle with a lower and an upper end."""
+
+    rect: Rect
+    z0: float
+    z1: float
+
+    def overlaps(self, other: Box) -> bool:
+        """Returns whether the two share a volume; to touch is not to overlap."""
+        return self.z0 < other.z1 - EPSILON and other.z0 < self.z1 - EPSILON and self.rect.overlaps(other.rect)
+
+
+def around(middle: Point, yaw: float, depth: float, width: float) -> Rect:
+    """Returns the rectangle along the axes about a turned one: ``depth`` along its own x, ``width`` along its own y."""
+    cos, sin = abs(math.cos(yaw)), abs(math.sin(yaw))
+    half_x, half_y = (cos * depth + sin * width) / 2, (sin * depth + cos * width) / 2
+    return Rect(middle[0] - half_x, middle[1] - half_y, middle[0] + half_x, middle[1] + half_y)
+
+
+def spanning(points: Iterable[Point]) -> Rect:
+    """Returns the smallest rectangle that holds all points."""
+    xs, ys = zip(*points, strict=True)
+    return Rect(min(xs), min(ys), max(xs), max(ys))
+
+
+def inside(rect: Rect, cells: Iterable[Rect]) -> bool:
+    """Returns whether a rectangle lies in the union of rectangles that do not overlap."""
+    return sum(rect.shared(cell) for cell in cells) >= rect.area - 1e-5
+
+
+def without(rects: Iterable[Rect], holes: Iterable[Rect]) -> tuple[Rect, ...]:
+    """Returns rectangles that do not overlap and cover what is in ``rects``, but in none of ``holes``."""
+    rects, holes = tuple(rects), tuple(holes)
+    xs = sorted({round(x, 6) for r in rects + holes for x in (r.x0, r.x1)})
+    ys = sorted({round(y, 6) for r in rects + holes for y in (r.y0, r.y1)})
+    found: list[Rect] = []
+    for x0, x1 in itertools.pairwise(xs):
+        column: list[Rect] = []
+        for y0, y1 in itertools.pairwise(ys):
+            middle = ((x0 + x1) / 2, (y0 + y1) / 2)
+            if any(r.holds(middle) for r in rects) and not any(h.holds(middle) for h in holes):
+                if column and column[-1].y1 == y0:
+                    column[-1] = Rect(x0, column[-1].y0, x1, y1)
+                else:
+                    column.append(Rect(x0, y0, x1, y1))
+        found += column
+    return _joined(found)
+
+
+def _joined(columns: list[Rect]) -> tuple[Rect, ...]:
+    """Returns columns with neighbours of the same extent along y made one."""
+    joined: list[Rect] = []
+    for rect in columns:
+        for index, other in enumerate(joined):
+            if other.x1 == rect.x0 and other.y0 == rect.y0 and other.y1 == rect.y1:
+                joined[index] = Rect(other.x0, other.y0, rect.x1, rect.y1)
+                break
+        else:
+            joined.append(rect)
+    return tuple(joined)

@@ -1,0 +1,71 @@
+"""A picture of a robot alone, as it stands in one of its poses."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.description.shapes import Shape, VisualSpec
+from gibson_sim.geometry.transforms import quat_from_matrix
+from gibson_sim.robots.spec import RobotSpec
+from gibson_sim.scenes.spec import LightSpec, SceneSpec
+from gibson_sim.simulation import Simulation
+from gibson_sim.types import CameraSpec, Pose
+
+Rgb = NDArray[np.uint8]
+_FOV = math.radians(24.0)
+_MARGIN = 1.06
+"""Factor on the distance at which the robot just fills the picture."""
+_SETTLING = 24
+"""Steps until wheels stand on the floor."""
+_FLOOR_M = 60.0
+_GREY = (0.66, 0.67, 0.69)
+
+
+def robot_picture(robot: RobotSpec, pose: str = "", *, width: int = 640, height: int = 640, yaw_deg: float = -35.0) -> Rgb:
+    """Returns a picture of a robot on a grey floor, (height, width, 3) uint8 sRGB.
+
+    Args:
+        robot: Which.
+        pose: One of its named poses; "" = as it starts.
+        width: Pixels.
+        height: Pixels.
+        yaw_deg: Where the camera stands, from straight ahead of the robot, counter-clockwise seen from above.
+
+    Raises:
+        RobotError: it has no such pose.
+    """
+    if pose:
+        robot = replace(robot, joints=tuple({**dict(robot.joints), **dict(robot.named_pose(pose).joints)}.items()))
+    floor = VisualSpec("floor", "", Shape("box", (_FLOOR_M, _FLOOR_M, 0.02)), Pose((0.0, 0.0, -0.0102)), (*_GREY, 1.0))
+    light = LightSpec(sun_direction=(-0.45, 0.35, -1.0), sun=0.75, ambient=0.42, background=(0.86, 0.87, 0.88), shadows=True)
+    root = robot.urdf.parent
+    scene = SceneSpec("robot", root, "", (floor,), (), ground_z=0.0, light=light, robots=(replace(robot, start=Pose()),))
+    with Simulation(scene, None) as sim:
+        sim.step(steps=_SETTLING)
+        low, high = sim.world.bounds(robot.name)
+        frame = sim.render(_camera(low, high, width, height, math.radians(yaw_deg)))
+    assert frame.rgb is not None
+    return frame.rgb
+
+
+def _camera(low: NDArray[np.float64], high: NDArray[np.float64], width: int, height: int, yaw: float) -> CameraSpec:
+    """Returns a camera that sees a box, corners in metres, from in front and a little above."""
+    middle = (low + high) / 2
+    pitch = math.radians(16.0)
+    ahead = -np.array([math.cos(yaw) * math.cos(pitch), math.sin(yaw) * math.cos(pitch), math.sin(pitch)])
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    down = np.cross(ahead, right)
+    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]) - middle
+    half = math.tan(_FOV / 2)
+    away = [max(abs(float(c @ right)) * height / width, abs(float(c @ down))) / half - float(c @ ahead) for c in corners]
+    position = middle - ahead * max(away) * _MARGIN
+    x, y, z = position.tolist()
+    return CameraSpec(
+        "eye", "", Pose((x, y, z), quat_from_matrix(np.stack([right, down, ahead], axis=1))), width, height, _FOV,
+        outputs=("rgb",), samples=4,
+    )  # fmt: skip

@@ -1,0 +1,131 @@
+"""Smooth solids from outlines: rounded boxes, tubes, barrels, and what is between them. Pure arithmetic."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.formats.mesh import area_normals
+from gibson_sim.geometry.transforms import matrix_from_pose, pose_from_xyz_rpy
+from gibson_sim.types import Vec3
+
+F64 = NDArray[np.float64]
+_FINE_M, _COARSE_M = 0.1, 0.02
+"""Half an edge above which corners are fine, and below which they are coarse."""
+_BEVEL = 4
+"""Rings of a rounded edge."""
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A rectangle with round corners across the z axis; a circle where the radius is half of both edges. Metres."""
+
+    z: float
+    half_x: float
+    half_y: float
+    radius: float
+    """Of the corners."""
+    x: float = 0.0
+    """Of the middle."""
+    y: float = 0.0
+
+    def inset(self, depth: float, z: float) -> Section:
+        """Returns the section that lies ``depth`` inside of this one, at height ``z``."""
+        half_x, half_y = max(self.half_x - depth, 1e-5), max(self.half_y - depth, 1e-5)
+        return Section(z, half_x, half_y, min(max(self.radius - depth, 1e-5), half_x, half_y), self.x, self.y)
+
+    def outline(self, points: int) -> F64:
+        """Returns points, (P, 3), counter-clockwise seen from +z; so many of them on each corner."""
+        turns = np.linspace(0.0, math.pi / 2, points)
+        corners = []
+        for quarter, (sx, sy) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
+            angles = turns + quarter * math.pi / 2
+            middle = (self.x + sx * (self.half_x - self.radius), self.y + sy * (self.half_y - self.radius))
+            corners.append(np.stack([middle[0] + self.radius * np.cos(angles), middle[1] + self.radius * np.sin(angles)], axis=1))
+        flat = np.concatenate(corners)
+        return np.concatenate([flat, np.full((len(flat), 1), self.z)], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solid:
+    """A closed smooth surface of one finish."""
+
+    vertices: F64
+    """(V, 3), metres."""
+    normals: F64
+    """(V, 3), outward."""
+    triangles: NDArray[np.int64]
+    """(F, 3), counter-clockwise seen from outside."""
+    finish: str
+    """Name of its material."""
+
+    def placed(self, xyz: Vec3 = (0.0, 0.0, 0.0), rpy: Vec3 = (0.0, 0.0, 0.0)) -> Solid:
+        """Returns it turned (radians) and moved (metres)."""
+        T = matrix_from_pose(pose_from_xyz_rpy(xyz, rpy))
+        rotation = T[:3, :3]
+        return Solid(self.vertices @ rotation.T + T[:3, 3], self.normals @ rotation.T, self.triangles, self.finish)
+
+
+def loft(sections: Sequence[Section], finish: str, bevel: float = 0.0, bevel_end: float | None = None) -> Solid:
+    """Returns the solid through sections that go up along z, closed by flat ends with rounded edges.
+
+    Args:
+        sections: Two or more, from the lowest.
+        finish: Name of its material.
+        bevel: Radius of the edge at the lower end, metres.
+        bevel_end: The same of the upper end; None = as the lower one.
+    """
+    first, last = sections[0], sections[-1]
+    upper = bevel if bevel_end is None else bevel_end
+    rings = [*_rounded(first, bevel, up=False), *sections[1:-1], *reversed(_rounded(last, upper, up=True))]
+    widest = max(max(ring.half_x, ring.half_y) for ring in rings)
+    points = 12 if widest > _FINE_M else 8 if widest > _COARSE_M else 5
+    outlines = [ring.outline(points) for ring in rings]
+    around, ends = len(outlines[0]), (np.array([[s.x, s.y, s.z]]) for s in (first, last))
+    vertices = np.concatenate([*outlines, *ends])
+    side = np.arange(around)
+    after = (side + 1) % around
+    triangles = []
+    for ring in range(len(rings) - 1):
+        below, above = ring * around, (ring + 1) * around
+        triangles.append(np.stack([below + side, below + after, above + after], axis=1))
+        triangles.append(np.stack([below + side, above + after, above + side], axis=1))
+    top = (len(rings) - 1) * around
+    bottom_middle, top_middle = len(vertices) - 2, len(vertices) - 1
+    triangles.append(np.stack([after, side, np.full(around, bottom_middle)], axis=1))
+    triangles.append(np.stack([top + side, top + after, np.full(around, top_middle)], axis=1))
+    return _smooth(vertices, np.concatenate(triangles), finish)
+
+
+def tube(radii: Sequence[tuple[float, float]], finish: str, bevel: float = 0.0, bevel_end: float | None = None) -> Solid:
+    """Returns the round solid through (z, radius) pairs that go up along z."""
+    return loft([Section(z, radius, radius, radius) for z, radius in radii], finish, bevel, bevel_end)
+
+
+def box(low: Vec3, high: Vec3, finish: str, corner: float, bevel: float) -> Solid:
+    """Returns a box between two corners; ``corner``: radius of its upright edges, ``bevel``: of the others."""
+    x, y = (low[0] + high[0]) / 2, (low[1] + high[1]) / 2
+    half_x, half_y = (high[0] - low[0]) / 2, (high[1] - low[1]) / 2
+    radius = min(corner, half_x, half_y)
+    return loft([Section(z, half_x, half_y, radius, x, y) for z in (low[2], high[2])], finish, bevel)
+
+
+def _rounded(end: Section, bevel: float, *, up: bool) -> list[Section]:
+    """Returns the rings of a rounded edge, from the flat end to the side."""
+    if bevel <= 0.0:
+        return [end]
+    angles = np.linspace(math.pi / 2, 0.0, _BEVEL + 1)
+    inward = -1.0 if up else 1.0
+    return [end.inset(bevel * (1.0 - math.cos(a)), end.z + inward * bevel * (1.0 - math.sin(a))) for a in angles.tolist()]
+
+
+def _smooth(vertices: F64, triangles: NDArray[np.int64], finish: str) -> Solid:
+    """Returns the solid, its corners shared where they are at one place, without the triangles that have no area."""
+    _, first, shared = np.unique(np.round(vertices, 7), axis=0, return_index=True, return_inverse=True)
+    joined = np.asarray(shared).reshape(-1)[triangles]
+    distinct = joined[(joined != np.roll(joined, 1, axis=1)).all(axis=1)]
+    return Solid(vertices[first], area_normals(vertices[first], distinct), distinct, finish)

@@ -1,0 +1,55 @@
+"""What lights the things that can be moved: the rooms themselves, as they are seen all around from where robots start."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gibson_sim.geometry.colours import linear_from_srgb
+from gibson_sim.picture_files import write_picture
+from gibson_sim.render.draw.environment import irradiance
+from gibson_sim_tools.making.building import Building
+from gibson_sim_tools.making.pictures import EYE_HEIGHT, eye, views
+from gibson_sim_tools.making.pixels import F32
+
+ASSETS, SURROUNDINGS = "assets", "rooms.hdr"
+_ROWS = 64
+
+
+def plain_surroundings(path: Path, white: float) -> None:
+    """Writes surroundings that are alike in all directions.
+
+    Args:
+        path: the file.
+        white: how bright a white surface becomes, linear.
+    """
+    _write(path, np.full((_ROWS, 2 * _ROWS, 3), white, dtype=np.float32))
+
+
+def write_surroundings(folder: Path, building: Building, white: float) -> None:
+    """Writes the mean of what is seen from all starts of a finished scene, as bright as its baked light.
+
+    Args:
+        folder: of the scene, with plain surroundings.
+        building: its plan.
+        white: how bright a white surface becomes on average, linear.
+    """
+    cameras = [
+        dataclasses.replace(
+            eye((x, y, z + EYE_HEIGHT), 0.0, 0.0), name=start.name, projection="equirectangular", width=2 * _ROWS, height=_ROWS
+        )
+        for start in building.starts
+        for x, y, z in (start.position,)
+    ]
+    seen = np.mean([linear_from_srgb(rgb.astype(np.float32) / 255) for rgb in views(folder, cameras)], axis=0).astype(np.float32)
+    # The mean over all normals: the terms without direction, and a third of that of z².
+    factors = irradiance(seen)
+    mean = float((factors[0] + factors[6] / 3).mean())
+    _write(folder / ASSETS / SURROUNDINGS, seen * np.float32(white / max(mean, 1e-3)))
+
+
+def _write(path: Path, linear: F32) -> None:
+    write_picture(path, cv2.cvtColor(linear, cv2.COLOR_RGB2BGR))

@@ -1,0 +1,271 @@
+"""Takes a scan: plans it, draws it with the renderer, spoils it, writes it as a folder. An interrupted one goes on where it stopped.
+
+    scan.json        what was scanned, with every setting, and the views; ``frames`` = images there must be
+    color/000000.jpg sRGB
+    depth/000000.png 16 bit, millimetres along the optical axis, 0 = no depth; registered with the colours
+    poses.txt        where the scanner takes its camera to be: rows ``stamp tx ty tz qx qy qz qw`` of T_world_camera, optical frame
+    true_poses.txt   where it was
+    trajectory.log   as poses.txt, for Open3D
+    intrinsic.json   Open3D's format
+
+The world frame is that of the scene, z up.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim import __version__
+from gibson_sim.geometry.transforms import R_LINK_OPTICAL, matrix_from_pose, pose_from_matrix, pose_from_xyz_rpy
+from gibson_sim.picture_files import write_picture
+from gibson_sim.render.renderer import Renderer
+from gibson_sim.scenes.spec import SceneSpec
+from gibson_sim.types import NS_PER_S, CameraSpec, Frame, Output, SceneState
+from gibson_sim.writing import write_file
+from gibson_sim_tools.scanning.clean_scene import sample_surface, solid_triangles, still_scene
+from gibson_sim_tools.scanning.defects import image_effects, measured_depth, measured_poses
+from gibson_sim_tools.scanning.intrinsics_files import write_intrinsics
+from gibson_sim_tools.scanning.layouts import DESCRIPTION, FORMAT, read_json
+from gibson_sim_tools.scanning.posed_rgbd import Intrinsics, ScanError, depth_units
+from gibson_sim_tools.scanning.route import View, plan_views
+from gibson_sim_tools.scanning.settings import Defects, ScanCamera, TourSettings
+from gibson_sim_tools.scanning.stations import candidates, choose_stations, find_storeys
+from gibson_sim_tools.scanning.trajectories import write_stamped_poses, write_trajectory_log
+
+F64 = NDArray[np.float64]
+Progress = Callable[[float], None]
+
+DEPTH_SCALE = 1000.0
+SURFACE_POINTS = 30_000
+"""Points of the scene's surface that the plan counts."""
+_AT_ONCE = 6
+"""Views that are drawn in one call."""
+_MOST = 1_000_000
+_BLUR_S = 0.1
+"""Seconds back to the state that motion blur is drawn from."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanSettings:
+    """Everything that decides a scan of a scene."""
+
+    tour: TourSettings
+    camera: ScanCamera
+    defects: Defects
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanPlan:
+    """Where the rig goes."""
+
+    views: tuple[View, ...]
+    stations: int
+    coverage: float
+    """Part of what can be seen from free places that is seen from the stations."""
+
+
+def scan(
+    scene: SceneSpec, folder: Path, settings: ScanSettings, *, cache: Path | None = None, progress: Progress = lambda _: None
+) -> ScanPlan:
+    """Takes a scan of a scene, or what is missing of it, and returns its plan.
+
+    Args:
+        scene: what to scan; robots are left out.
+        folder: what to write into. It may be new, empty, or hold the begin of the same scan.
+        settings: how.
+        cache: as ``Renderer`` takes it.
+        progress: told how much is done, 0 to 1.
+
+    Raises:
+        ScanError: the folder holds something else, or the rig fits nowhere.
+        GibsonSimError: the scene cannot be drawn.
+    """
+    begun = _begun(folder, scene, settings)
+    links = tuple(f"scanner/{k}" for k in range(_AT_ONCE))
+    drawn = still_scene(scene, links)
+    with Renderer(drawn, cache=cache) as renderer:
+        plan = begun or _plan(scene, settings, _Camera(renderer, drawn.revision, links), progress)
+        if begun is None:
+            _begin(folder, scene, settings, plan)
+        _Scanner(
+            folder, settings, plan, _Camera(renderer, drawn.revision, links), _shiny(drawn.semantic_classes, settings.defects)
+        ).run(progress)
+    return plan
+
+
+class _Camera:
+    """The renderer, with a link for each view of a batch: each then has a motion of its own."""
+
+    def __init__(self, renderer: Renderer, revision: int, links: tuple[str, ...]) -> None:
+        self._renderer, self._revision, self.links = renderer, revision, links
+
+    def depths(self, cameras: Sequence[CameraSpec]) -> list[NDArray[np.float32]]:
+        """Returns the depth images of cameras fixed to the world."""
+        frames = self._renderer.render(self._state([np.eye(4)] * len(self.links), 0), cameras)
+        return [f.depth for f in frames if f.depth is not None]
+
+    def frames(self, views: Sequence[View], cameras: Sequence[CameraSpec]) -> list[Frame]:
+        """Returns the pictures of cameras on the links of a batch of views."""
+        padded = [*views, *[views[-1]] * (len(self.links) - len(views))]
+        now = self._state([v.T_world_rig for v in padded], NS_PER_S)
+        before = self._state([v.earlier(_BLUR_S) for v in padded], round((1.0 - _BLUR_S) * NS_PER_S))
+        return self._renderer.render(now, cameras, before)
+
+    def _state(self, T_world_links: Sequence[F64], stamp_ns: int) -> SceneState:
+        poses = [pose_from_matrix(T) for T in T_world_links]
+        return SceneState(
+            stamp_ns, 0, self._revision, self.links, np.array([p.position for p in poses]),
+            np.array([p.quat_xyzw for p in poses]), np.zeros((len(poses), 6)),
+        )  # fmt: skip
+
+
+def _plan(scene: SceneSpec, settings: ScanSettings, camera: _Camera, progress: Progress) -> ScanPlan:
+    tour, lens, defects = settings.tour, settings.camera, settings.defects
+    storeys = find_storeys(scene, tour)
+    surface = sample_surface(*solid_triangles(scene), SURFACE_POINTS, np.random.default_rng([tour.seed, 0]))
+    views = (tour.frames // len(tour.pitches)) or _MOST
+    turns = min(max(round(360.0 / tour.turn_deg), 1), views)
+    chosen = choose_stations(
+        candidates(storeys, tour), storeys, surface, lens, tour, (defects.range_min, defects.range_max), max(views // turns, 1),
+        camera.depths, lambda part: progress(0.1 * part),
+    )  # fmt: skip
+    return ScanPlan(tuple(plan_views(chosen.stations, storeys, tour, turns, views)), len(chosen.stations), chosen.coverage)
+
+
+class _Scanner:
+    """Takes the pictures that are not there yet."""
+
+    def __init__(self, folder: Path, settings: ScanSettings, plan: ScanPlan, camera: _Camera, shiny: frozenset[int]) -> None:
+        self._folder, self._settings, self._plan, self._camera, self._shiny = folder, settings, plan, camera, shiny
+        self._count = len(settings.tour.pitches)
+
+    def run(self, progress: Progress) -> None:
+        missing = [k for k in range(len(self._plan.views)) if not all(map(self._is_there, self._numbers(k)))]
+        for first in range(0, len(missing), _AT_ONCE):
+            progress(0.1 + 0.9 * (1.0 - (len(missing) - first) / len(self._plan.views)))
+            part = missing[first : first + _AT_ONCE]
+            specs = [spec for link, view in zip(self._camera.links, part, strict=False) for spec in self._cameras(link, view)]
+            numbers = [number for view in part for number in self._numbers(view)]
+            frames = self._camera.frames([self._plan.views[k] for k in part], specs)
+            for number, frame in zip(numbers, frames, strict=True):
+                self._write(number, frame)
+
+    def _numbers(self, view: int) -> range:
+        return range(view * self._count, (view + 1) * self._count)
+
+    def _is_there(self, number: int) -> bool:
+        return _depth_path(self._folder, number).is_file() and _color_path(self._folder, number).is_file()
+
+    def _cameras(self, link: str, view: int) -> list[CameraSpec]:
+        lens, seed = self._settings.camera, self._settings.tour.seed
+        outputs: tuple[Output, ...] = ("rgb", "depth", "semantic") if self._shiny else ("rgb", "depth")
+        return [
+            CameraSpec(
+                f"{number:06d}", link, pose_from_matrix(mount), lens.width, lens.height, math.radians(lens.fov_y_deg),
+                near=0.03, outputs=outputs, samples=lens.samples, effects=image_effects(self._settings.defects, seed, view),
+            )
+            for number, mount in zip(self._numbers(view), mounts(self._settings.tour), strict=True)
+        ]  # fmt: skip
+
+    def _write(self, number: int, frame: Frame) -> None:
+        defects, seed = self._settings.defects, self._settings.tour.seed
+        shiny = np.isin(frame.semantic, list(self._shiny)) if frame.semantic is not None else None
+        depth = measured_depth(frame, defects, shiny, seed, number)
+        assert frame.rgb is not None
+        quality = [cv2.IMWRITE_JPEG_QUALITY, defects.jpeg_quality]
+        write_picture(_color_path(self._folder, number), frame.rgb[:, :, ::-1], quality, durable=False)
+        write_picture(_depth_path(self._folder, number), depth_units(depth, DEPTH_SCALE), durable=False)
+
+
+def mounts(tour: TourSettings) -> list[F64]:
+    """Returns T_rig_camera of each camera of the rig, (4, 4), optical frame."""
+    out = []
+    for pitch in tour.pitches:
+        T = matrix_from_pose(pose_from_xyz_rpy(rpy=(0.0, -math.radians(pitch), 0.0)))
+        T[:3, :3] = T[:3, :3] @ R_LINK_OPTICAL
+        out.append(T)
+    return out
+
+
+def _shiny(classes: Sequence[str], defects: Defects) -> frozenset[int]:
+    """Returns the numbers of the semantic classes whose surfaces are shiny."""
+    words = [word.strip() for word in defects.shiny_classes.split(",") if word.strip()]
+    if not defects.shiny_fraction:
+        return frozenset()
+    return frozenset(k for k, name in enumerate(classes) if any(word in name.lower() for word in words))
+
+
+def _begun(folder: Path, scene: SceneSpec, settings: ScanSettings) -> ScanPlan | None:
+    """Returns the plan of the scan that was begun in a folder, or None where there is nothing.
+
+    Raises:
+        ScanError: the folder holds another scan, or something else.
+    """
+    path = folder / DESCRIPTION
+    if not path.is_file():
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise ScanError(f"--output {folder}: is there already and holds no scan; give another name or remove it")
+        return None
+    found = read_json(path)
+    wanted = _described(scene, settings)
+    other = [key for key in wanted if not isinstance(found, dict) or found.get(key) != wanted[key]]
+    if other:
+        raise ScanError(
+            f"--output {folder}: holds another scan (it differs in {', '.join(other)}); give another name, or the same options to go on with it"
+        )
+    try:
+        return ScanPlan(tuple(View(*values) for values in found["views"]), found["stations"], found["coverage"])
+    except (KeyError, TypeError) as error:
+        raise ScanError(f"{path}: is damaged ({error}); remove the folder and scan again") from error
+
+
+def _begin(folder: Path, scene: SceneSpec, settings: ScanSettings, plan: ScanPlan) -> None:
+    """Writes everything but the images; the description last, so that a folder with one is complete but for images."""
+    for part in ("color", "depth"):
+        (folder / part).mkdir(parents=True, exist_ok=True)
+    rigs = np.stack([v.T_world_rig for v in plan.views])
+    on_rig = np.stack(mounts(settings.tour))
+    stamps = np.repeat([v.stamp_s for v in plan.views], len(on_rig))
+    true = (rigs[:, None] @ on_rig[None]).reshape(-1, 4, 4)
+    measured = (measured_poses(rigs, settings.defects, settings.tour.seed)[:, None] @ on_rig[None]).reshape(-1, 4, 4)
+    # Cameras of one rig have one moment; readers of stamps want them to differ.
+    stamps += np.tile(np.arange(len(on_rig)) * 1e-3, len(rigs))
+    write_stamped_poses(folder / "true_poses.txt", stamps, true)
+    write_stamped_poses(folder / "poses.txt", stamps, measured)
+    write_trajectory_log(folder / "trajectory.log", measured)
+    write_intrinsics(folder / "intrinsic.json", intrinsics_of(settings.camera))
+    described: dict[str, Any] = {
+        **_described(scene, settings), "frames": len(true), "stations": plan.stations, "coverage": plan.coverage,
+        "views": [list(asdict(v).values()) for v in plan.views],
+    }  # fmt: skip
+    write_file(folder / DESCRIPTION, json.dumps(described, indent=1))
+
+
+def intrinsics_of(camera: ScanCamera) -> Intrinsics:
+    """Returns the intrinsics of the scanner's cameras."""
+    K = CameraSpec("", "", width=camera.width, height=camera.height, fov_y=math.radians(camera.fov_y_deg)).intrinsics()
+    return Intrinsics(camera.width, camera.height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+
+
+def _described(scene: SceneSpec, settings: ScanSettings) -> dict[str, Any]:
+    return {
+        "format": FORMAT, "version": 1, "made_by": f"gibson_sim {__version__}", "scene": scene.name,
+        "content_hash": scene.content_hash, "depth_scale": DEPTH_SCALE, "settings": asdict(settings),
+    }  # fmt: skip
+
+
+def _color_path(folder: Path, number: int) -> Path:
+    return folder / "color" / f"{number:06d}.jpg"
+
+
+def _depth_path(folder: Path, number: int) -> Path:
+    return folder / "depth" / f"{number:06d}.png"

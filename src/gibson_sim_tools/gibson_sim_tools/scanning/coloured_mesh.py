@@ -1,0 +1,165 @@
+"""A mesh with a colour at each vertex, as scanners give them: its parts, its up, its file. Pure but for the file."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.geometry.patches import flat_patches
+from gibson_sim.geometry.transforms import Mat4, transform_points
+from gibson_sim.geometry.triangle_meshes import components, simplified_triangles
+from gibson_sim.geometry.upright import find_candidates
+from gibson_sim.writing import write_file
+from gibson_sim_tools.scanning.posed_rgbd import ScanError
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+_CAMERA_DEG = 50.0
+"""Up is this near to the mean of the cameras' -y: many look down most of the time."""
+_LEVEL_SHARE = 0.02
+"""Of the surface: less is no floor."""
+_FLOOR_DEG = 15.0
+"""Triangles whose normal is this near to up may be floor."""
+_FLOOR_BIN = 0.02
+_FLOOR_SHARE = 0.25
+"""Of the level area at the height where most of it is: the lowest height with as much is the floor's."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ColouredMesh:
+    """Triangles, counter-clockwise seen from where the camera was."""
+
+    vertices: F32
+    """(V, 3), metres."""
+    triangles: NDArray[np.int32]
+    """(F, 3), rows of ``vertices``."""
+    colors: NDArray[np.uint8]
+    """(V, 3), sRGB."""
+
+    def crosses(self) -> F64:
+        """Returns the normals of the triangles, (F, 3), as long as twice their areas."""
+        corners = self.vertices.astype(np.float64)[self.triangles]
+        return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+    @property
+    def area(self) -> float:
+        """Square metres."""
+        return float(np.linalg.norm(self.crosses(), axis=1).sum() / 2.0)
+
+
+def welded(mesh: ColouredMesh, size: float) -> ColouredMesh:
+    """Returns the mesh with vertices that lie in the same cube of edge ``size``, metres, as one, and without triangles that so lose their area.
+
+    Where a surface goes through corners of voxels, a distance field gives many triangles as thin as its rounding.
+    """
+    cells = np.rint(mesh.vertices.astype(np.float64) / size).astype(np.int64)
+    cells -= cells.min(axis=0, initial=0)
+    sides = cells.max(axis=0, initial=0) + 1
+    _, first, number = np.unique(
+        (cells[:, 0] * sides[1] + cells[:, 1]) * sides[2] + cells[:, 2], return_index=True, return_inverse=True
+    )
+    triangles = number.reshape(-1)[mesh.triangles].astype(np.int32)
+    a, b, c = triangles.T
+    solid = (a != b) & (b != c) & (c != a)
+    return ColouredMesh(mesh.vertices[first], triangles[solid], mesh.colors[first])
+
+
+def without_small_parts(mesh: ColouredMesh, least_area: float) -> ColouredMesh:
+    """Returns the mesh without connected parts whose area is below ``least_area``, square metres."""
+    part = components(mesh.triangles, len(mesh.vertices))
+    areas = np.bincount(part, weights=np.linalg.norm(mesh.crosses(), axis=1) / 2.0)
+    return _subset(mesh, mesh.triangles[areas[part] >= least_area])
+
+
+def thinned(mesh: ColouredMesh, triangles: int) -> ColouredMesh:
+    """Returns the mesh with about so many triangles, or more where that would tear it; its vertices are some of the given ones.
+
+    Fast, and farther from the mesh than a method that moves vertices to where they fit best.
+
+    Raises:
+        MeshError: meshoptimizer is not installed.
+    """
+    return _subset(mesh, simplified_triangles(mesh.vertices, mesh.triangles, least=triangles))
+
+
+def _subset(mesh: ColouredMesh, triangles: NDArray[Any]) -> ColouredMesh:
+    """Returns some triangles (F, 3) between the vertices of a mesh, with those vertices alone."""
+    used = np.zeros(len(mesh.vertices), dtype=bool)
+    used[triangles] = True
+    number = np.cumsum(used) - 1
+    return ColouredMesh(mesh.vertices[used], number[triangles].astype(np.int32), mesh.colors[used])
+
+
+def level_transform(mesh: ColouredMesh, poses: F64) -> Mat4:
+    """Returns T_level_world, (4, 4): z up, the floor at z = 0, with as little turning as that takes.
+
+    Scans of others begin where the camera was. Cameras are held upright more or less, so up is near the mean of their -y; what is level
+    near there decides the rest, by the measure that ``gibson-sim scene check`` has.
+
+    Args:
+        mesh: in the frame of the scan.
+        poses: T_world_camera, (N, 4, 4), optical.
+
+    Raises:
+        ScanError: the mesh has no level surface that faces up.
+    """
+    up = -poses[:, :3, 1].mean(axis=0)
+    up /= max(float(np.linalg.norm(up)), 1e-9)
+    patches = flat_patches(mesh.vertices.astype(np.float64), mesh.triangles, np.random.default_rng(0))
+    found = [] if patches is None else find_candidates(patches)
+    near = [c for c in found if float(np.asarray(c.up) @ up) > math.cos(math.radians(_CAMERA_DEG)) and c.area > _LEVEL_SHARE]
+    if not near:
+        raise ScanError("the mesh has no level surface, so up cannot be found; leave out --level")
+    up = np.asarray(near[0].up)
+    T = np.eye(4)
+    T[:3, :3] = _turn_to_z(up)
+    crosses = mesh.crosses()
+    lengths = np.linalg.norm(crosses, axis=1)
+    alike = crosses @ up > math.cos(math.radians(_FLOOR_DEG)) * lengths
+    if not alike.any():
+        raise ScanError("the mesh has no surface that faces up, so its floor cannot be found; leave out --level")
+    heights = transform_points(T, mesh.vertices[mesh.triangles[alike]].mean(axis=1))[:, 2]
+    edges = np.arange(heights.min() - _FLOOR_BIN, heights.max() + 2 * _FLOOR_BIN, _FLOOR_BIN)
+    level, _ = np.histogram(heights, edges, weights=lengths[alike])
+    lowest = int(np.flatnonzero(level >= _FLOOR_SHARE * level.max())[0])
+    near = np.abs(heights - edges[lowest] - _FLOOR_BIN / 2) <= 1.5 * _FLOOR_BIN
+    T[2, 3] = -float(np.average(heights[near], weights=lengths[alike][near]))
+    return T
+
+
+def _turn_to_z(up: F64) -> F64:
+    """Returns the smallest rotation (3, 3) that takes a unit vector to z."""
+    axis = np.cross(up, (0.0, 0.0, 1.0))
+    if float(np.linalg.norm(axis)) < 1e-9:
+        return np.eye(3) if up[2] > 0.0 else np.diag([1.0, -1.0, -1.0])
+    K = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    return np.asarray(np.eye(3) + K + K @ K / (1.0 + up[2]))
+
+
+def moved(mesh: ColouredMesh, T: Mat4) -> ColouredMesh:
+    """Returns the mesh under a rigid transform, (4, 4)."""
+    return ColouredMesh(transform_points(T, mesh.vertices).astype(np.float32), mesh.triangles, mesh.colors)
+
+
+def write_ply(path: Path, mesh: ColouredMesh) -> None:
+    """Writes a binary PLY with colours of vertices, as most programs read it.
+
+    Raises:
+        WriteError: it cannot be written.
+    """
+    vertex = np.empty(len(mesh.vertices), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)])
+    vertex["xyz"], vertex["rgb"] = mesh.vertices, mesh.colors
+    face = np.empty(len(mesh.triangles), dtype=[("count", "u1"), ("index", "<i4", 3)])
+    face["count"], face["index"] = 3, mesh.triangles
+    header = [
+        "ply", "format binary_little_endian 1.0", f"element vertex {len(vertex)}", *(f"property float {axis}" for axis in "xyz"),
+        *(f"property uchar {color}" for color in ("red", "green", "blue")), f"element face {len(face)}",
+        "property list uchar int vertex_indices", "end_header\n",
+    ]  # fmt: skip
+    write_file(path, "\n".join(header).encode() + vertex.tobytes() + face.tobytes())

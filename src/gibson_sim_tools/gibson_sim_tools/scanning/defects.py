@@ -1,0 +1,176 @@
+"""What a scanner makes of true depths and true poses. Pure; all is decided by the seed and the number of the frame, so any order will do.
+
+Noise, steps, range and grazing angles are those of ``sensors.depth_noise``; here is what only scans need: edges, dark and shiny surfaces, and
+poses that are a little wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.geometry.transforms import Mat4, matrix_from_quat
+from gibson_sim.sensors.depth_noise import apply_depth_noise
+from gibson_sim.types import DepthNoise, Frame, ImageEffects
+from gibson_sim_tools.scanning.settings import Defects
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+EDGE_STEP = 0.04
+"""Two neighbouring pixels whose depths differ by more than this part of the nearer one lie on two sides of an edge."""
+DARK_LUMA = 40.0
+"""Pixels brighter than this, 0 to 255, are not dark."""
+_PATCH_PX = 6
+"""Size of the patches in which depth is lost, pixels."""
+_TURN_AS_WAY = 0.15
+"""Metres of way that a turn by a radian counts as, for the drift."""
+_POSES, _DRIFT, _COLORS, _PATCHES = range(4)
+
+
+def generator(seed: int, purpose: int, number: int) -> np.random.Generator:
+    """Returns random numbers of their own for each purpose and frame, so that one setting does not change what another one does."""
+    return np.random.default_rng([seed, purpose, number])
+
+
+def measured_depth(frame: Frame, defects: Defects, shiny: Bools | None, seed: int, number: int) -> F32:
+    """Returns the depths, (H, W) metres, that a scanner reports; NaN where it reports none.
+
+    Args:
+        frame: with the true depth and the colours.
+        defects: what to do.
+        shiny: (H, W), where a surface is shiny; None = nowhere.
+        seed: of the scan.
+        number: of the frame.
+    """
+    assert frame.depth is not None
+    noise = DepthNoise(
+        defects.depth_constant, defects.depth_linear, defects.depth_quadratic, defects.disparity_step_px, defects.baseline,
+        defects.hole_angle_deg, defects.hole_fraction, defects.range_min, seed,
+    )  # fmt: skip
+    limited = replace(frame, camera=replace(frame.camera, far=defects.range_max))
+    noisy = apply_depth_noise(limited, noise).depth
+    assert noisy is not None
+    depth = np.where(np.isfinite(noisy), noisy, np.nan).astype(np.float32)
+    rng = generator(seed, _PATCHES, number)
+    _spoil_edges(frame.depth, depth, defects, rng)
+    loss = _loss(frame, defects, shiny)
+    if loss is not None:
+        depth[_patches(depth.shape, rng) < loss] = np.nan
+    depth[~((depth >= defects.range_min) & (depth <= defects.range_max))] = np.nan
+    return depth
+
+
+def edges(depth: F32) -> Bools:
+    """Returns where a pixel and one beside it see surfaces at different depths, (H, W)."""
+    near = np.where(np.isfinite(depth), depth, np.float32(1e6))
+    kernel = np.ones((3, 3), np.uint8)
+    low, high = cv2.erode(near, kernel), cv2.dilate(near, kernel)
+    # On a slanted plane the middle lies between the two; at an edge one side is flat.
+    step = np.minimum(high - near, near - low)
+    return np.asarray((high - low > EDGE_STEP * low) & (step < 0.25 * (high - low)))
+
+
+def _spoil_edges(true: F32, depth: F32, defects: Defects, rng: np.random.Generator) -> None:
+    """Takes depth away beside edges, in patches, and puts some pixels between the two surfaces, in place."""
+    if not (defects.edge_px or defects.flying_fraction):
+        return
+    at_edge = edges(true)
+    if defects.edge_px:
+        size = 2 * defects.edge_px + 1
+        band = cv2.dilate(at_edge.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))) > 0
+        depth[band & (_patches(depth.shape, rng) < 0.6)] = np.nan
+    if defects.flying_fraction:
+        flies = at_edge & (rng.random(depth.shape, dtype=np.float32) < defects.flying_fraction)
+        near = np.where(np.isfinite(true), true, np.float32(np.inf))
+        low = cv2.erode(near, np.ones((3, 3), np.uint8))
+        high = cv2.dilate(np.where(np.isfinite(true), true, np.float32(0.0)), np.ones((3, 3), np.uint8))
+        part = rng.random(depth.shape, dtype=np.float32)
+        # Only there: away from edges nothing may have a depth, and an infinity less an infinity is a warning of numpy.
+        depth[flies] = low[flies] + part[flies] * (high[flies] - low[flies])
+
+
+def _loss(frame: Frame, defects: Defects, shiny: Bools | None) -> F32 | None:
+    """Returns the part of the depth that is lost at each pixel, (H, W); None = nothing."""
+    loss: F32 | None = None
+    if defects.dark_fraction and frame.rgb is not None:
+        luma = frame.rgb.astype(np.float32) @ np.array([0.299, 0.587, 0.114], dtype=np.float32)
+        loss = np.float32(defects.dark_fraction) * np.clip(1.0 - luma / np.float32(DARK_LUMA), 0.0, 1.0)
+    if defects.shiny_fraction and shiny is not None:
+        on_shiny = np.where(shiny, np.float32(defects.shiny_fraction), np.float32(0.0))
+        loss = on_shiny if loss is None else np.maximum(loss, on_shiny)
+    return loss
+
+
+def _patches(shape: tuple[int, ...], rng: np.random.Generator) -> F32:
+    """Returns smooth random numbers, evenly distributed in 0 to 1, (H, W): what lies below p is p of the image, in patches."""
+    height, width = shape
+    coarse = rng.standard_normal((height // _PATCH_PX + 3, width // _PATCH_PX + 3), dtype=np.float32)
+    smooth = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
+    smooth = (smooth - smooth.mean()) / max(float(smooth.std()), 1e-6)
+    # The logistic function is within 1 % of the normal distribution's.
+    return np.asarray(1.0 / (1.0 + np.exp(-1.702 * smooth)), dtype=np.float32)
+
+
+def image_effects(defects: Defects, seed: int, number: int) -> ImageEffects:
+    """Returns the effects on the colours of a frame: exposure and white balance differ from view to view."""
+    rng = generator(seed, _COLORS, number)
+    exposure, tint = rng.standard_normal(2)
+    return ImageEffects(
+        exposure_ev=float(defects.exposure_jitter_ev * exposure),
+        white_balance_k=float(np.clip(6500.0 * (1.0 + defects.white_balance_jitter * tint), 1667.0, 25000.0)),
+        vignette=defects.vignette,
+        shutter_s=defects.shutter_s,
+        shot_noise=defects.shot_noise,
+        read_noise=defects.read_noise,
+        seed=seed,
+    )
+
+
+def measured_poses(T_world_rig: F64, defects: Defects, seed: int) -> F64:
+    """Returns where a rig takes itself to be, (N, 4, 4): a slow drift that grows with the way, and an error of each view of its own.
+
+    The first view has no drift; what drifts is the heading and the position, since a scanner knows where down is.
+    """
+    measured = np.array(T_world_rig, dtype=np.float64)
+    drift = np.eye(4)
+    steps = generator(seed, _DRIFT, 0)
+    for number in range(len(measured)):
+        if number:
+            way = math.sqrt(_way(T_world_rig[number - 1], T_world_rig[number]))
+            shift = steps.standard_normal(3) * defects.drift_m * way
+            turn = steps.standard_normal() * math.radians(defects.drift_deg) * way
+            drift = drift @ _about(T_world_rig[number, :3, 3], shift, np.array([0.0, 0.0, turn]))
+        own = generator(seed, _POSES, number)
+        error = np.eye(4)
+        error[:3, 3] = own.standard_normal(3) * defects.pose_noise_m
+        error[:3, :3] = _rotation(own.standard_normal(3) * math.radians(defects.pose_noise_deg))
+        measured[number] = drift @ T_world_rig[number] @ error
+    return measured
+
+
+def _way(before: F64, after: F64) -> float:
+    """Returns the way from one pose to the next, metres, with a part of the turn."""
+    cosine = (float(np.trace(before[:3, :3].T @ after[:3, :3])) - 1.0) / 2.0
+    return float(np.linalg.norm(after[:3, 3] - before[:3, 3])) + _TURN_AS_WAY * math.acos(min(max(cosine, -1.0), 1.0))
+
+
+def _about(center: F64, shift: F64, turn: F64) -> Mat4:
+    """Returns a small motion of the world, (4, 4): a turn about a point, and a shift."""
+    motion = np.eye(4)
+    motion[:3, :3] = _rotation(turn)
+    motion[:3, 3] = center - motion[:3, :3] @ center + shift
+    return motion
+
+
+def _rotation(vector: F64) -> F64:
+    """Returns the rotation (3, 3) about a vector, by its length, radians."""
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-15:
+        return np.eye(3)
+    return matrix_from_quat(np.append(vector / angle * math.sin(angle / 2), math.cos(angle / 2)))

@@ -1,0 +1,148 @@
+"""From posed RGB-D to a mesh, and distances to meshes, by Open3D. The only file that imports it, when it is needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import EnvironmentProblemError
+from gibson_sim.geometry.transforms import invert
+from gibson_sim_tools.scanning.coloured_mesh import ColouredMesh, level_transform, moved, thinned, welded, without_small_parts
+from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd, ScanError, depth_units
+from gibson_sim_tools.scanning.settings import FuseSettings
+
+F64 = NDArray[np.float64]
+F32 = NDArray[np.float32]
+Progress = Callable[[float], None]
+
+_BLOCK_VOXELS = 16
+_FIRST_BLOCKS = 20_000
+"""Blocks that there is room for at first; it grows."""
+_WELD = 0.1
+"""Parts of a voxel within which vertices become one."""
+_ROUGHLY = 2
+"""Times as many triangles as are wanted are left to the better, slow way."""
+_MOST_VERTICES = 60_000_000
+
+
+def open3d() -> Any:
+    """Returns the package.
+
+    Raises:
+        EnvironmentProblemError: it is not installed, or cannot be loaded.
+    """
+    try:
+        import open3d as package
+    except ImportError as error:
+        raise EnvironmentProblemError(
+            f"Open3D cannot be loaded ({error}); install it with: pip install 'gibson_sim_tools[scanning]' (on Debian and Ubuntu also: "
+            "apt install libusb-1.0-0 libgomp1)"
+        ) from error
+    return package
+
+
+def chosen_frames(rgbd: PosedRgbd, settings: FuseSettings) -> range:
+    """Returns the numbers of the frames that are fused."""
+    return range(0, len(rgbd), settings.stride)
+
+
+def fuse(rgbd: PosedRgbd, settings: FuseSettings, progress: Progress = lambda _: None) -> ColouredMesh:
+    """Returns the surface that posed RGB-D shows, in its world frame (or levelled): a truncated signed distance field, then its triangles.
+
+    Args:
+        rgbd: what to fuse.
+        settings: how.
+        progress: told how much is done, 0 to 1.
+
+    Raises:
+        EnvironmentProblemError: Open3D is not there.
+        ScanError: an image is broken, or nothing is in range.
+    """
+    o3d = open3d()
+    core = o3d.core
+    grid = o3d.t.geometry.VoxelBlockGrid(
+        ("tsdf", "weight", "color"), (core.float32, core.uint16, core.uint16), ((1), (1), (3)),
+        settings.voxel, _BLOCK_VOXELS, _FIRST_BLOCKS,
+    )  # fmt: skip
+    # Open3D takes the pixel that a projected point lies in by cutting off decimals, as if centres were at halves; ours are whole numbers.
+    K = core.Tensor(rgbd.intrinsics.matrix + np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]))
+    reach = (rgbd.depth_scale, settings.depth_max, settings.truncation)
+    chosen = chosen_frames(rgbd, settings)
+    for done, number in enumerate(chosen):
+        frame = rgbd[number]
+        units = depth_units(frame.depth, rgbd.depth_scale)
+        if (frame.depth <= settings.depth_max).any():
+            depth, color = (o3d.t.geometry.Image(core.Tensor(a)) for a in (units, frame.rgb))
+            T_camera_world = core.Tensor(invert(frame.T_world_camera))
+            blocks = grid.compute_unique_block_coordinates(depth, K, T_camera_world, *reach)
+            grid.integrate(blocks, depth, color, K, K, T_camera_world, *reach)
+        progress(0.9 * (done + 1) / len(chosen))
+    if not grid.hashmap().size():
+        raise ScanError(_nothing(settings))
+    mesh = welded(_extracted(grid, settings), _WELD * settings.voxel)
+    if settings.min_part:
+        mesh = without_small_parts(mesh, settings.min_part)
+    if settings.triangles and len(mesh.triangles) > settings.triangles:
+        mesh = simplified(mesh, settings.triangles)
+    if not len(mesh.triangles):
+        raise ScanError(f"{rgbd.folder}: nothing is left of the mesh; give a smaller --min-weight or --min-part")
+    progress(1.0)
+    return moved(mesh, level_transform(mesh, rgbd.poses)) if settings.level else mesh
+
+
+def _extracted(grid: Any, settings: FuseSettings) -> ColouredMesh:
+    """Returns the triangles of a distance field."""
+    found = grid.extract_triangle_mesh(settings.min_weight - 0.5)  # it takes what has a larger weight
+    if found.is_empty():
+        raise ScanError(_nothing(settings))
+    if len(found.vertex.positions) > _MOST_VERTICES:
+        raise ScanError(f"the mesh has {len(found.vertex.positions)} vertices; give a larger --voxel than {settings.voxel:g} m")
+    colors = np.clip(np.rint(found.vertex.colors.numpy() * 255.0), 0, 255).astype(np.uint8)
+    return ColouredMesh(found.vertex.positions.numpy().copy(), found.triangle.indices.numpy().astype(np.int32), colors)
+
+
+def _nothing(settings: FuseSettings) -> str:
+    return (
+        f"no surface was seen by {settings.min_weight:g} images or more within {settings.depth_max:g} m; "
+        "give a smaller --min-weight or a larger --depth-max, and check the depth scale and the poses"
+    )
+
+
+def simplified(mesh: ColouredMesh, triangles: int) -> ColouredMesh:
+    """Returns the mesh with about so many triangles, where the surface bends least first (quadric error).
+
+    Open3D moves vertices to where they fit best, but takes many times as long as meshoptimizer, which keeps them: that one makes a
+    beginning.
+
+    Raises:
+        EnvironmentProblemError: Open3D is not there.
+        MeshError: meshoptimizer is not installed.
+    """
+    o3d = open3d()
+    if len(mesh.triangles) > _ROUGHLY * triangles:
+        mesh = thinned(mesh, _ROUGHLY * triangles)
+    full = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(mesh.vertices.astype(np.float64)), o3d.utility.Vector3iVector(mesh.triangles)
+    )
+    full.vertex_colors = o3d.utility.Vector3dVector(mesh.colors.astype(np.float64) / 255.0)
+    less = full.simplify_quadric_decimation(triangles)
+    colors = np.clip(np.rint(np.asarray(less.vertex_colors) * 255.0), 0, 255).astype(np.uint8)
+    return ColouredMesh(np.asarray(less.vertices, dtype=np.float32), np.asarray(less.triangles, dtype=np.int32), colors)
+
+
+def distances(points: F64, vertices: NDArray[Any], triangles: NDArray[np.int32]) -> F32:
+    """Returns the distance of points (N, 3) to the nearest place on a mesh, (N,), metres.
+
+    Raises:
+        EnvironmentProblemError: Open3D is not there.
+    """
+    o3d = open3d()
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        o3d.core.Tensor(np.ascontiguousarray(vertices, dtype=np.float32)),
+        o3d.core.Tensor(np.ascontiguousarray(triangles, dtype=np.uint32)),
+    )
+    return np.asarray(scene.compute_distance(o3d.core.Tensor(points.astype(np.float32))).numpy(), dtype=np.float32)

@@ -1,0 +1,287 @@
+"""The layouts in which people hold posed RGB-D, each found out by itself: ours, Open3D's, 7-Scenes' and TUM's.
+
+A layout is a function that reads a folder, and one that tells whether a folder looks like it. The first that does, reads; it then either
+returns the set or says what is missing.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim_tools.scanning.intrinsics_files import INTRINSIC_FILES, find_intrinsics
+from gibson_sim_tools.scanning.posed_rgbd import FrameFiles, Intrinsics, PosedRgbd, ScanError, check_pose, read_image
+from gibson_sim_tools.scanning.trajectories import (
+    associate,
+    numbers_of,
+    pose_at,
+    read_lines,
+    read_stamped_poses,
+    read_trajectory_log,
+)
+
+F64 = NDArray[np.float64]
+
+DESCRIPTION = "scan.json"
+"""File that tells our scans from others'."""
+FORMAT = "gibson_sim scan"
+TIME_TOLERANCE_S = 0.02
+"""TUM: colour, depth and pose this near in time belong together."""
+_IMAGES = (".jpg", ".jpeg", ".png")
+_COLOR_FOLDERS = ("color", "image", "rgb")
+_LOG_FILES = ("trajectory.log", "scene/trajectory.log", "test_scene/trajectory.log")
+_PRIMESENSE = Intrinsics(640, 480, 525.0, 525.0, 319.5, 239.5)
+_SEVEN_SCENES = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
+_SEVEN_SCENES_FRAME = re.compile(r"frame-(\d+)\.(color|depth|pose)\.(png|jpg|txt)$")
+_ASSOCIATIONS = ("associations.txt", "associate.txt")
+_MILLIMETRES, _TUM_SCALE = 1000.0, 5000.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Options:
+    """What the caller knows better than the folder."""
+
+    focal: tuple[float, float, float, float] | None
+    """fx, fy, cx, cy, pixels."""
+    depth_scale: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """One way to lay out posed RGB-D in a folder."""
+
+    name: str
+    files: str
+    """What it consists of, for people."""
+    looks_like: Callable[[Path], bool]
+    read: Callable[[Path, _Options], PosedRgbd]
+
+
+def open_posed_rgbd(
+    folder: Path, *, focal: tuple[float, float, float, float] | None = None, depth_scale: float | None = None
+) -> PosedRgbd:
+    """Returns the posed RGB-D in a folder, whatever its layout; no image is decoded before it is asked for.
+
+    Args:
+        folder: what holds it.
+        focal: fx, fy, cx, cy in pixels, in place of what the folder or its layout says.
+        depth_scale: units of the depth images in a metre, in place of what the layout says.
+
+    Raises:
+        ScanError: nothing is there, or no known layout, or something is missing; the text says what.
+    """
+    if not folder.is_dir():
+        raise ScanError(f"{folder}: is no folder; give the one that holds the images and poses")
+    for layout in LAYOUTS:
+        if layout.looks_like(folder):
+            return layout.read(folder, _Options(focal, depth_scale))
+    known = "; ".join(f"{layout.name}: {layout.files}" for layout in LAYOUTS)
+    inside = sorted(p.name for p in folder.iterdir() if p.is_dir() and any(layout.looks_like(p) for layout in LAYOUTS))
+    if inside:
+        raise ScanError(f"{folder}: holds several sets, give one of its folders: {', '.join(inside[:8])}")
+    raise ScanError(f"{folder}: no layout of posed RGB-D that is known. Known are: {known}")
+
+
+def _read_ours(folder: Path, options: _Options) -> PosedRgbd:
+    description = read_json(folder / DESCRIPTION)
+    wanted = description.get("frames") if isinstance(description, dict) and description.get("format") == FORMAT else None
+    if not isinstance(wanted, int):
+        raise ScanError(f"{folder / DESCRIPTION}: is no description of a scan; its format must be {FORMAT!r}")
+    color, depth = _images(folder / "color"), _images(folder / "depth")
+    if len(color) != wanted or len(depth) != wanted:
+        raise ScanError(
+            f"{folder}: has {len(color)} colour and {len(depth)} depth images of {wanted}; "
+            "the scan was interrupted: run the same `gibson-sim scene scan` again to finish it"
+        )
+    _, poses = read_stamped_poses(folder / "poses.txt")
+    return _finished(folder, "gibson_sim", _in_order(folder, color, depth, poses), options, None, _MILLIMETRES)
+
+
+def _read_open3d(folder: Path, options: _Options) -> PosedRgbd:
+    color = _images(next(folder / name for name in _COLOR_FOLDERS if (folder / name).is_dir()))
+    log = next((folder / name for name in _LOG_FILES if (folder / name).is_file()), None)
+    if log is None:
+        raise ScanError(f"{folder}: has images but no poses; looked for {', '.join(_LOG_FILES)}")
+    files = _in_order(folder, color, _images(folder / "depth"), read_trajectory_log(log))
+    return _finished(folder, "open3d", files, options, _PRIMESENSE, _MILLIMETRES)
+
+
+def _read_seven_scenes(folder: Path, options: _Options) -> PosedRgbd:
+    frames: dict[int, dict[str, Path]] = {}
+    for path in folder.iterdir():
+        match = _SEVEN_SCENES_FRAME.match(path.name)
+        if match:
+            frames.setdefault(int(match[1]), {})[match[2]] = path
+    files = []
+    for number, parts in sorted(frames.items()):
+        missing = [kind for kind in ("color", "depth", "pose") if kind not in parts]
+        if missing:
+            raise ScanError(
+                f"{folder}: frame {number} has no {' and no '.join(missing)}; "
+                f"each needs frame-{number:06d}.color.png, .depth.png and .pose.txt"
+            )
+        files.append(FrameFiles(parts["color"], parts["depth"], _read_matrix(parts["pose"])))
+    return _finished(folder, "7-scenes", files, options, _SEVEN_SCENES, _MILLIMETRES)
+
+
+def _read_tum(folder: Path, options: _Options) -> PosedRgbd:
+    truth = folder / "groundtruth.txt"
+    if not truth.is_file():
+        raise ScanError(f"{folder}: has lists of images but no groundtruth.txt with their poses")
+    stamps, poses = read_stamped_poses(truth)
+    pairs = _tum_pairs(folder)
+    found = [(pose_at(stamps, poses, stamp, TIME_TOLERANCE_S), color, depth) for stamp, color, depth in pairs]
+    files = [FrameFiles(color, depth, pose) for pose, color, depth in found if pose is not None]
+    if not files:
+        raise ScanError(
+            f"{truth}: has no pose within {TIME_TOLERANCE_S:g} s of any of the {len(pairs)} pairs of images; "
+            "are its stamps of the same clock?"
+        )
+    lost = len(pairs) - len(files)
+    warnings = (f"{lost} of {len(pairs)} pairs of images have no pose near in time and are left out",) if lost else ()
+    return _finished(folder, "tum", files, options, _PRIMESENSE, _TUM_SCALE, warnings)
+
+
+def _tum_pairs(folder: Path) -> list[tuple[float, Path, Path]]:
+    """Returns stamp of the colour image, colour image and depth image."""
+    ready = next((folder / name for name in _ASSOCIATIONS if (folder / name).is_file()), None)
+    if ready is not None:
+        return [_tum_association(ready, number, line.split()) for number, line in read_lines(ready)]
+    color, depth = (_tum_list(folder / name) for name in ("rgb.txt", "depth.txt"))
+    pairs = associate([stamp for stamp, _ in color], [stamp for stamp, _ in depth], TIME_TOLERANCE_S)
+    if not len(pairs):
+        raise ScanError(
+            f"{folder}: no image of rgb.txt is within {TIME_TOLERANCE_S:g} s of one of depth.txt; are their stamps of the same clock?"
+        )
+    return [(color[i][0], color[i][1], depth[j][1]) for i, j in pairs]
+
+
+def _tum_association(path: Path, number: int, words: list[str]) -> tuple[float, Path, Path]:
+    if len(words) != 4:
+        raise ScanError(
+            f"{path}:{number}: {' '.join(words)[:80]!r} must be stamp and file of the colour image, stamp and file of the depth image"
+        )
+    stamps = [numbers_of(path, number, [words[k]], 1, "a stamp, seconds")[0] for k in (0, 2)]
+    files = [_inside(path, number, words[k]) for k in (1, 3)]
+    # Written by a script in the order of its arguments, so either may come first.
+    first = 1 if "depth" in words[1].lower() and "depth" not in words[3].lower() else 0
+    return stamps[first], files[first], files[1 - first]
+
+
+def _tum_list(path: Path) -> list[tuple[float, Path]]:
+    rows = []
+    for number, line in read_lines(path):
+        stamp, _, name = line.partition(" ")
+        if not name:
+            raise ScanError(f"{path}:{number}: {line[:80]!r} must be a stamp, seconds, and the name of a file")
+        rows.append(
+            (numbers_of(path, number, [stamp], 1, "a stamp, seconds, and the name of a file")[0], _inside(path, number, name))
+        )
+    return rows
+
+
+def _inside(path: Path, number: int, name: str) -> Path:
+    """Returns a file that a list names, which must lie beside the list."""
+    named = Path(name.strip())
+    if named.is_absolute() or ".." in named.parts:
+        raise ScanError(f"{path}:{number}: {name[:80]!r} lies outside the folder; files must be named relative to it")
+    return path.parent / named
+
+
+def _in_order(folder: Path, color: Sequence[Path], depth: Sequence[Path], poses: F64) -> list[FrameFiles]:
+    """Returns the frames whose images and poses belong together by their order."""
+    if not len(color) == len(depth) == len(poses):
+        raise ScanError(
+            f"{folder}: has {len(color)} colour images, {len(depth)} depth images and {len(poses)} poses; there must be as many of each"
+        )
+    return [FrameFiles(c, d, pose) for c, d, pose in zip(color, depth, poses, strict=True)]
+
+
+def _finished(
+    folder: Path, layout: str, files: Sequence[FrameFiles], options: _Options, assumed: Intrinsics | None, depth_scale: float,
+    warnings: tuple[str, ...] = (),
+) -> PosedRgbd:  # fmt: skip
+    """Returns the set with its intrinsics: what the caller says, else the folder's file, else those of the layout's camera."""
+    if not files:
+        raise ScanError(f"{folder}: has no frame")
+    height, width = read_image(files[0].depth, cv2.IMREAD_UNCHANGED).shape[:2]
+    ignored: tuple[str, ...] = ()
+    if options.focal is not None:
+        intrinsics = Intrinsics(width, height, *options.focal)
+    else:
+        found, file, ignored = find_intrinsics(folder, width, height)
+        warnings = (*warnings, *ignored)
+        known = found or assumed
+        if known is None:
+            raise ScanError(f"{folder}: has no {INTRINSIC_FILES[0]}; add it, or give --intrinsics fx,fy,cx,cy")
+        intrinsics = known
+        text = f"fx {intrinsics.fx:g} fy {intrinsics.fy:g} cx {intrinsics.cx:g} cy {intrinsics.cy:g}"
+        if found is None:
+            warnings = (*warnings, f"has no {INTRINSIC_FILES[0]}: took those of the {layout} camera, {text}")
+        elif file not in INTRINSIC_FILES:
+            warnings = (*warnings, f"intrinsics are those of {file}: {text}")
+    if (intrinsics.width, intrinsics.height) != (width, height):
+        raise ScanError(
+            f"{files[0].depth}: has {width}x{height} pixels, the intrinsics are for {intrinsics.width}x{intrinsics.height}; "
+            + "; ".join(("give those of this size with --intrinsics fx,fy,cx,cy", *(f"{folder}/{line}" for line in ignored)))
+        )
+    return PosedRgbd(folder, layout, intrinsics, options.depth_scale or depth_scale, tuple(files), warnings)
+
+
+def _read_matrix(path: Path) -> F64:
+    rows = read_lines(path)
+    if len(rows) != 4:
+        raise ScanError(f"{path}: has {len(rows)} lines, must have the four rows of a 4x4 matrix")
+    pose = np.array([numbers_of(path, n, line.split(), 4, "the four numbers of a row of a matrix") for n, line in rows])
+    check_pose(str(path), pose)
+    return pose
+
+
+def read_json(path: Path) -> Any:
+    """Returns what a JSON file holds.
+
+    Raises:
+        ScanError: it cannot be read, or is no JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ScanError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise ScanError(f"{path}: is no JSON: {error}") from error
+
+
+def _images(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.iterdir() if p.suffix.lower() in _IMAGES) if folder.is_dir() else []
+
+
+def _has_images(folder: Path) -> bool:
+    return (folder / "depth").is_dir() and any((folder / name).is_dir() for name in _COLOR_FOLDERS)
+
+
+def _has_lists(folder: Path) -> bool:
+    lists = all((folder / name).is_file() for name in ("rgb.txt", "depth.txt"))
+    return lists or any((folder / name).is_file() for name in _ASSOCIATIONS)
+
+
+LAYOUTS: tuple[Layout, ...] = (
+    Layout(
+        "gibson_sim", f"{DESCRIPTION}, color/, depth/, poses.txt, intrinsic.json",
+        lambda folder: (folder / DESCRIPTION).is_file(), _read_ours,
+    ),
+    Layout(
+        "7-scenes", "frame-000000.color.png, frame-000000.depth.png, frame-000000.pose.txt",
+        lambda folder: any(_SEVEN_SCENES_FRAME.match(p.name) for p in folder.glob("frame-*")), _read_seven_scenes,
+    ),
+    Layout("tum", "rgb.txt and depth.txt (or associations.txt), groundtruth.txt", _has_lists, _read_tum),
+    Layout("open3d", "color/ or image/ or rgb/, depth/, trajectory.log (also in scene/)", _has_images, _read_open3d),
+)  # fmt: skip
+"""In the order in which they are tried."""

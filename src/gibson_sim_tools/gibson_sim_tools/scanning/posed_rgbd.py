@@ -1,0 +1,191 @@
+"""Posed RGB-D: colour images, depth images and where the camera was, whoever took them. Reads images; finding them is in ``layouts``.
+
+One camera without distortion takes all frames of a set; colours and depths lie on the same pixels (registered). A pose is
+``T_world_camera`` of the optical frame: x right, y down, z forward. What "world" is, the set decides: scans of others often begin at the
+first camera, with y down; those of our scanner are in the frame of their scene, z up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gibson_sim.errors import GibsonSimError
+from gibson_sim.formats.image_header import MAX_IMAGE_BYTES
+from gibson_sim.formats.textures import decode_pixels
+from gibson_sim.reading import read_file
+
+NO_DEPTH = (0, 65535)
+"""Values of a 16-bit depth image that mean "no depth": 0 in most sets, 65535 in some."""
+_MAX_SIDE = 16384
+_ORTHONORMAL = 1e-2
+
+
+class ScanError(GibsonSimError):
+    """A set of posed RGB-D cannot be read, a scan cannot be taken, or it cannot be fused."""
+
+
+@dataclass(frozen=True, slots=True)
+class Intrinsics:
+    """A pinhole without distortion. Pixel centres are at whole numbers."""
+
+    width: int
+    """Pixels."""
+    height: int
+    fx: float
+    """Pixels."""
+    fy: float
+    cx: float
+    cy: float
+
+    def __post_init__(self) -> None:
+        if not (1 <= self.width <= _MAX_SIDE and 1 <= self.height <= _MAX_SIDE):
+            raise ScanError(f"intrinsics: the image is {self.width}x{self.height}, each side must be 1 to {_MAX_SIDE} pixels")
+        if not all(map(math.isfinite, (self.fx, self.fy, self.cx, self.cy))) or self.fx <= 0.0 or self.fy <= 0.0:
+            raise ScanError(
+                f"intrinsics: fx, fy, cx, cy are {self.fx:g}, {self.fy:g}, {self.cx:g}, {self.cy:g} pixels; "
+                "they must be finite, fx and fy above 0"
+            )
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """K, (3, 3), pixels."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameFiles:
+    """Where one frame lies, and where its camera was."""
+
+    color: Path
+    depth: Path
+    T_world_camera: NDArray[np.float64]
+    """(4, 4), optical frame, metres."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RgbdFrame:
+    """One frame in memory; the arrays belong to the caller. Row 0 is the top."""
+
+    number: int
+    """Its place in the set, from 0."""
+    rgb: NDArray[np.uint8]
+    """(H, W, 3) uint8, sRGB."""
+    depth: NDArray[np.float32]
+    """(H, W) float32, metres along the optical axis, NaN = no depth."""
+    T_world_camera: NDArray[np.float64]
+    """(4, 4), optical frame."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PosedRgbd:
+    """A set of posed RGB-D in a folder: a sequence whose frames are read when they are asked for. ``layouts.open_posed_rgbd`` finds it.
+
+    ``len(rgbd)`` is the number of frames, ``rgbd[7]`` reads one, ``for frame in rgbd`` reads them in order, one at a time.
+    """
+
+    folder: Path
+    layout: str
+    """Name of the layout that it was read in."""
+    intrinsics: Intrinsics
+    depth_scale: float
+    """Units of the depth images in a metre: 1000 = millimetres."""
+    files: tuple[FrameFiles, ...]
+    warnings: tuple[str, ...] = ()
+    """What was left out or assumed, one line each."""
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.depth_scale) and self.depth_scale > 0.0):
+            raise ScanError(f"{self.folder}: depth scale is {self.depth_scale:g} units a metre, must be finite and above 0")
+        if not self.files:
+            raise ScanError(f"{self.folder}: has no frame with a pose")
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def __iter__(self) -> Iterator[RgbdFrame]:
+        return (self[number] for number in range(len(self)))
+
+    def __getitem__(self, number: int) -> RgbdFrame:
+        """Reads a frame.
+
+        Raises:
+            IndexError: there is no such frame.
+            ScanError: an image is missing or broken, or not of the size that the intrinsics are for.
+        """
+        files = self.files[number]
+        color = read_image(files.color, cv2.IMREAD_COLOR)
+        units = read_image(files.depth, cv2.IMREAD_UNCHANGED)
+        if units.dtype != np.uint16 or units.ndim != 2:
+            raise ScanError(
+                f"{files.depth}: is an image of {units.dtype} with shape {units.shape}; depth must be 16 bit with one channel"
+            )
+        for path, image in ((files.color, color), (files.depth, units)):
+            self._check_size(path, image)
+        return RgbdFrame(
+            number % len(self), color[:, :, ::-1].copy(), metres(units, self.depth_scale), files.T_world_camera.copy()
+        )
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """T_world_camera of all frames, (N, 4, 4)."""
+        return np.stack([f.T_world_camera for f in self.files])
+
+    def _check_size(self, path: Path, image: NDArray[Any]) -> None:
+        height, width = image.shape[:2]
+        if (width, height) != (self.intrinsics.width, self.intrinsics.height):
+            raise ScanError(
+                f"{path}: has {width}x{height} pixels, the intrinsics are for {self.intrinsics.width}x{self.intrinsics.height}; "
+                "colours and depths must lie on the same pixels: register or resize them, and give the intrinsics of that size"
+            )
+
+
+def metres(units: NDArray[np.uint16], depth_scale: float) -> NDArray[np.float32]:
+    """Returns depths, float32 metres, of a 16-bit image; NaN where it has none."""
+    depth = units.astype(np.float32) / np.float32(depth_scale)
+    depth[np.isin(units, NO_DEPTH)] = np.nan
+    return depth
+
+
+def depth_units(depth: NDArray[np.float32], depth_scale: float) -> NDArray[np.uint16]:
+    """Returns the 16-bit image of depths in metres; what is not finite, or does not fit, becomes 0 = no depth."""
+    with np.errstate(invalid="ignore"):
+        units = np.rint(depth * np.float32(depth_scale))
+        fits = (units > 0) & (units < NO_DEPTH[1])
+    return np.where(fits, units, 0).astype(np.uint16)
+
+
+def read_image(path: Path, flags: int) -> NDArray[Any]:
+    """Returns an image as OpenCV has it (blue, green, red).
+
+    Raises:
+        ScanError: it is missing or broken.
+    """
+    try:
+        data = read_file(path, MAX_IMAGE_BYTES)
+    except OSError as error:
+        raise ScanError(f"{path}: cannot be read: {error.strerror or error}") from error
+    image = decode_pixels(data, flags)
+    if image is None:
+        raise ScanError(f"{path}: is no readable image; was the copy or the scan cut short?")
+    return image
+
+
+def check_pose(what: str, T_world_camera: NDArray[np.float64]) -> None:
+    """Raises ScanError, which begins with ``what``, unless a (4, 4) matrix is a rigid transform."""
+    R = T_world_camera[:3, :3]
+    if not np.isfinite(T_world_camera).all():
+        raise ScanError(f"{what}: the pose holds a NaN or an infinity; the camera was lost there: leave out this frame")
+    off = float(np.abs(R @ R.T - np.eye(3)).max())
+    if off > _ORTHONORMAL or np.linalg.det(R) < 0.0 or np.abs(T_world_camera[3] - (0, 0, 0, 1)).max() > 1e-6:
+        raise ScanError(
+            f"{what}: the pose is no rigid transform (its rotation is off by {off:.2g}); "
+            "it must be T_world_camera as 4x4 numbers by rows, in metres"
+        )

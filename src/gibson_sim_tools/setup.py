@@ -1,0 +1,46 @@
+"""Package description, read by colcon (ament_python) and by pip. Version: also in package.xml and gibson_sim_tools/__init__.py."""
+
+from setuptools import find_packages, setup
+
+NAME = "gibson_sim_tools"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Makes, imports, checks and scans scenes for Gibson Sim",
+    license="Apache-2.0",
+    author="Gibson Sim maintainers",
+    maintainer="Gibson Sim maintainers",
+    maintainer_email="maintainers@gibson-sim.example",
+    packages=find_packages(include=[NAME, NAME + ".*"]),
+    package_data={NAME: ["py.typed"]},
+    python_requires=">=3.10",
+    install_requires=["gibson_sim==0.1.0", "numpy", "scipy", "opencv-python-headless", "trimesh", "DracoPy", "rich"],
+    extras_require={
+        "authoring": ["bpy"],
+        "collision": ["coacd>=1.0.7"],
+        "usd": ["usd-core>=24.8"],
+        "scanning": ["open3d-cpu>=0.19; platform_machine == 'x86_64'", "open3d>=0.19; platform_machine != 'x86_64'"],
+    },
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
+        ("share/" + NAME, ["package.xml"]),
+    ],
+    zip_safe=False,
+    # Sub-commands of `gibson-sim`, loaded when they are typed (gibson_sim/cli/commands.py).
+    entry_points={
+        "gibson_sim.scene_commands": [
+            "check = gibson_sim_tools.cli.inspect",
+            "collision = gibson_sim_tools.cli.collision",
+            "fetch = gibson_sim_tools.cli.fetch",
+            "fuse = gibson_sim_tools.cli.scan",
+            "generate = gibson_sim_tools.cli.generate",
+            "import = gibson_sim_tools.cli.importing",
+            "inspect = gibson_sim_tools.cli.inspect",
+            "objects = gibson_sim_tools.cli.objects",
+            "robot = gibson_sim_tools.cli.robot",
+            "scan = gibson_sim_tools.cli.scan",
+            "view = gibson_sim_tools.cli.view",
+        ]
+    },
+)
