@@ -22,6 +22,6 @@ setup(
         ("share/" + NAME, ["package.xml"]),
     ],
     zip_safe=False,
-    # Sub-commands of `gibson-sim`, loaded when they are typed (gibson_sim/cli/commands.py).
+    # Sub-commands of `gibson-sim`, loaded when they are typed (gibson_sim/cli/registry.py).
     entry_points={"gibson_sim.commands": ["bench = gibson_sim_bench.cli.bench"]},
 )

@@ -27,7 +27,7 @@ setup(
         ("share/" + NAME, ["package.xml"]),
     ],
     zip_safe=False,
-    # Sub-commands of `gibson-sim`, loaded when they are typed (gibson_sim/cli/commands.py).
+    # Sub-commands of `gibson-sim`, loaded when they are typed (gibson_sim/cli/registry.py).
     entry_points={
         "gibson_sim.scene_commands": [
             "check = gibson_sim_tools.cli.inspect",

@@ -24,7 +24,7 @@ from gibson_sim.geometry.patches import flat_patches
 from gibson_sim.geometry.upright import CUES, find_candidates
 from gibson_sim.render.cache import default_folder
 from gibson_sim.scenes.load import load_scene
-from gibson_sim_tools.importing.facts import scene_geometry
+from gibson_sim_tools.importing.checks.facts import scene_geometry
 from gibson_sim_tools.scanning.capture import ScanSettings, scan
 from gibson_sim_tools.scanning.layouts import open_posed_rgbd
 from gibson_sim_tools.scanning.settings import PRESETS, Defects, ScanCamera, TourSettings

@@ -15,7 +15,7 @@ from fuzz.grammar import Mutator
 from fuzz.live import live, simulator
 from fuzz.trial import Trial
 from gibson_sim.standard.requests import LoadRequest
-from gibson_sim_tools.importing.archives import ArchiveLimits, unpack
+from gibson_sim_tools.importing.fetching.archives import ArchiveLimits, unpack
 from gibson_sim_tools.importing.run import import_scene
 
 _NAMES = (

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gibson_sim_tools.importing.gravity import guess_up
+from gibson_sim_tools.importing.checks.gravity import guess_up
 from gibson_sim_tools.scanning.posed_rgbd import PosedRgbd
 
 F64 = NDArray[np.float64]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from gibson_sim.cli.demo import VIEW, _plan, _report, add_parser
+from gibson_sim.cli.commands.demo import VIEW, _plan, _report, add_parser
 from gibson_sim.cli.main import main
 from gibson_sim.scenes.load_views import read_views
 from gibson_sim.tasks.ground import ground_of

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from gibson_sim.cli.commands.params import allowed
 from gibson_sim.cli.launching import CONFIGS, Plan, arguments, plan
-from gibson_sim.cli.params import allowed
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import GibsonSimError
 from gibson_sim.ros.nodes import start

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from gibson_sim.cli.params import markdown
+from gibson_sim.cli.commands.params import markdown
 
 
 def test_parameter_tables_are_those_of_the_program(root: Path) -> None:

@@ -57,10 +57,7 @@ _HOMES = {
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
 if TYPE_CHECKING:
-    from gibson_sim.errors import (
-        CommandError, ConfigError, EnvironmentProblemError, GibsonSimError, GraphicsUnavailableError, MeshError,
-        PhysicsError, RenderError, RobotError, SceneError, SceneMismatchError, SceneNotFoundError, StartError,
-    )  # fmt: skip
+    from gibson_sim.errors import (CommandError, ConfigError, EnvironmentProblemError, GibsonSimError, GraphicsUnavailableError, MeshError, PhysicsError, RenderError, RobotError, SceneError, SceneMismatchError, SceneNotFoundError, StartError,)  # fmt: skip
     from gibson_sim.geometry.transforms import camera_pose
     from gibson_sim.physics.world import PhysicsWorld
     from gibson_sim.render.renderer import Renderer

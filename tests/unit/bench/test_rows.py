@@ -16,7 +16,7 @@ from gibson_sim_bench.cli import table1 as cli
 from gibson_sim_bench.protocol import STEP_HZ, Commands, Plan, write_robot
 from gibson_sim_bench.reports.paper import FILLED, MODES, SENSOR_ONLY
 from gibson_sim_bench.reports.table1 import report_text
-from gibson_sim_bench.rows import (  # fmt: skip
+from gibson_sim_bench.rows import (
     BULLET,
     COPY,
     DDS,

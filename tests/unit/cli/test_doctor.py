@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from gibson_sim.cli import doctor
+from gibson_sim.cli.commands import doctor
 
 UUID = "01234567-89ab-cdef-0123-456789abcdef"
 OTHER = "fedcba98-7654-3210-fedc-ba9876543210"

@@ -9,7 +9,8 @@ from typing import Any, ClassVar
 
 import pytest
 
-from gibson_sim.cli import job as job_module, run
+from gibson_sim.cli import job as job_module
+from gibson_sim.cli.commands import run
 from gibson_sim.cli.job import Job, JobRun
 from gibson_sim.standard.job_folder import LOADED
 
@@ -151,7 +152,7 @@ def test_summary_that_cannot_be_written_keeps_nothing_else_from_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     made: list[Path] = []
-    monkeypatch.setattr("gibson_sim.cli.job.write_pictures", lambda bag, video: made.append(video) or [video])
+    monkeypatch.setattr("gibson_sim.bags.video.write_pictures", lambda bag, video: made.append(video) or [video])
     (tmp_path / "record.json").write_text('{"messages": {"/a": 1}, "lost": {}, "error": ""}')
     (tmp_path / "file").touch()
     files = ("--summary", str(tmp_path / "file/a.json"), "--video", str(tmp_path / "a.mp4"))

@@ -7,8 +7,8 @@ import argparse
 import pytest
 import yaml
 
+from gibson_sim.cli.commands.params import markdown
 from gibson_sim.cli.options import add_settings, node_arguments, settings_from_args
-from gibson_sim.cli.params import markdown
 from gibson_sim.config import PhysicsConfig
 from gibson_sim.errors import ConfigError
 

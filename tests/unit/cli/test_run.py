@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from gibson_sim.cli import run
+from gibson_sim.cli.commands import run
 from gibson_sim.cli.job import Job
 from gibson_sim.errors import ConfigError
 

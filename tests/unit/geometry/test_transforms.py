@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from gibson_sim.geometry.transforms import (  # fmt: skip
+from gibson_sim.geometry.transforms import (
     R_LINK_OPTICAL,
     invert,
     matrices_from_poses,

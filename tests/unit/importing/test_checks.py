@@ -12,10 +12,10 @@ import pytest
 from gibson_sim.cli.main import main
 from gibson_sim.formats.load_mesh import MeshLoader
 from gibson_sim.scenes.scene_meshes import collision_triangles, scene_roots
-from gibson_sim_tools.importing.check import Report, check_path
-from gibson_sim_tools.importing.faults import find_faults
-from gibson_sim_tools.importing.fix import Fix, fix_scene
-from gibson_sim_tools.importing.gravity import guess_unit, guess_up, rotation_to_z
+from gibson_sim_tools.importing.checks.check import Report, check_path
+from gibson_sim_tools.importing.checks.faults import find_faults
+from gibson_sim_tools.importing.checks.fix import Fix, fix_scene
+from gibson_sim_tools.importing.checks.gravity import guess_unit, guess_up, rotation_to_z
 from support.interiors import SIZE, box_faces, room, triangles, turned, write_gibson_folder, write_obj
 from support.surfaces import bumpy_grid
 

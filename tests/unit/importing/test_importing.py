@@ -17,8 +17,8 @@ from gibson_sim.formats.mesh import Material, Mesh, MeshPart
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.scene_meshes import collision_triangles, scene_roots
 from gibson_sim.scenes.spec import SceneSpec
-from gibson_sim_tools.importing.check import check_path
-from gibson_sim_tools.importing.fix import Fix, fix_scene
+from gibson_sim_tools.importing.checks.check import check_path
+from gibson_sim_tools.importing.checks.fix import Fix, fix_scene
 from gibson_sim_tools.importing.run import Choices, import_scene
 from gibson_sim_tools.importing.scans import is_scan
 from support.gltf import Gltf

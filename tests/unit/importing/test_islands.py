@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gibson_sim.maps.floor_map import FloorMap
-from gibson_sim_tools.importing.islands import islands
+from gibson_sim_tools.importing.checks.islands import islands
 
 
 def _map(floor: np.ndarray, occupied: np.ndarray) -> FloorMap:

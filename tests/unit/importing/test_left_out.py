@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from gibson_sim.scenes.load import load_scene
-from gibson_sim_tools.importing.check import Report, check_path
-from gibson_sim_tools.importing.fix import Fix, fix_scene
+from gibson_sim_tools.importing.checks.check import Report, check_path
+from gibson_sim_tools.importing.checks.fix import Fix, fix_scene
 from gibson_sim_tools.importing.left_out import LEFT_OUT
 from gibson_sim_tools.importing.run import import_scene
 from support.interiors import room, write_obj

@@ -11,11 +11,11 @@ from gibson_sim.cli.main import main
 from gibson_sim.errors import ConfigError, SceneError
 from gibson_sim.geometry.patches import flat_patches
 from gibson_sim.geometry.upright import find_candidates
-from gibson_sim_tools.importing.check import Finding, Report, check_path
+from gibson_sim_tools.importing.checks.check import Finding, Report, check_path
+from gibson_sim_tools.importing.checks.facts import SceneFacts
+from gibson_sim_tools.importing.checks.fix import Fix, fix_scene, made_worse
+from gibson_sim_tools.importing.checks.gravity import UpGuess, direction, direction_text, guess_up, level_near, rotation_to_z
 from gibson_sim_tools.importing.document import rpy_deg
-from gibson_sim_tools.importing.facts import SceneFacts
-from gibson_sim_tools.importing.fix import Fix, fix_scene, made_worse
-from gibson_sim_tools.importing.gravity import UpGuess, direction, direction_text, guess_up, level_near, rotation_to_z
 from gibson_sim_tools.importing.run import Choices, import_scene
 from support.interiors import box_faces, room, triangles, turned, write_obj
 from support.plys import ply
@@ -138,7 +138,7 @@ def test_what_would_check_worse_is_not_written(tmp_path: Path, monkeypatch: pyte
     (folder / "scene.yaml").write_text("name: bent\nobjects: [{name: room, mesh: room.obj}]\n")
     report = check_path(folder)
     up = np.array([0.0, np.sin(np.radians(30)), np.cos(np.radians(30))])
-    monkeypatch.setattr("gibson_sim_tools.importing.fix.level_near", lambda *_: tuple(up))
+    monkeypatch.setattr("gibson_sim_tools.importing.checks.fix.level_near", lambda *_: tuple(up))
     with pytest.raises(SceneError, match="nothing was written: a mended copy of 'bent' would be worse than it is"):
         fix_scene(report, tmp_path / "b", Fix(up=(0.0, 0.0, 1.0)))
     assert not (tmp_path / "b").exists()

@@ -21,7 +21,7 @@ from gibson_sim.scenes.load import load_scene
 from gibson_sim_tools.making.baking import check_blender
 from gibson_sim_tools.making.blender.assembly import assemble
 from gibson_sim_tools.making.blender.charts import BORDER_PX, place_charts
-from gibson_sim_tools.making.blender.furniture import BUILDERS, build_piece
+from gibson_sim_tools.making.blender.furniture.catalogue import BUILDERS, build_piece
 from gibson_sim_tools.making.blender.looks import LOOKS
 from gibson_sim_tools.making.blender.shapes import Solid, Surface
 from gibson_sim_tools.making.blender.shell import build_shell, widened

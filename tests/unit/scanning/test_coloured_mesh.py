@@ -10,7 +10,7 @@ import pytest
 from gibson_sim.errors import EnvironmentProblemError
 from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.geometry.transforms import invert, matrix_from_pose, pose_from_xyz_rpy
-from gibson_sim_tools.importing.gravity import guess_up
+from gibson_sim_tools.importing.checks.gravity import guess_up
 from gibson_sim_tools.scanning.coloured_mesh import (
     ColouredMesh,
     level_transform,

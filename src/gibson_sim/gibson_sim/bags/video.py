@@ -287,3 +287,11 @@ def _caption(width: int, stamp: int, odometry: _Odometry) -> Bgr:
         at = (round(8 * scale), (row + 1) * line - round(8 * scale))
         cv2.putText(caption, text, at, cv2.FONT_HERSHEY_SIMPLEX, scale, (255, 255, 255), 1, cv2.LINE_AA)
     return caption
+
+
+def write_pictures(bag: Path, video: Path) -> list[Path]:
+    """Writes the video and, beside it, a contact sheet with the same name and ``.png``; returns both paths."""
+    sheet = video.with_suffix(".png")
+    write_video(bag, video)
+    write_contact_sheet(bag, sheet)
+    return [video, sheet]

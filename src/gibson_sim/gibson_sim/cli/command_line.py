@@ -8,8 +8,8 @@ import sys
 from importlib import import_module
 
 from gibson_sim import __version__
-from gibson_sim.cli.commands import COMMANDS, command_modules, not_installed
 from gibson_sim.cli.parser import ExitCode, Parser, choice_error, table
+from gibson_sim.cli.registry import COMMANDS, command_modules, not_installed
 from gibson_sim.errors import AlreadyRunningError, GibsonSimError
 from gibson_sim.interrupts import Interruptible
 from gibson_sim.writing import cannot_write, is_of_the_disk
@@ -87,7 +87,7 @@ def _parser(words: list[str]) -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"gibson-sim {__version__}")
     command = words[0] if words else ""
-    modules = {command: f"gibson_sim.cli.{COMMANDS[command]}"} if command in COMMANDS else command_modules()
+    modules = {command: f"gibson_sim.cli.commands.{COMMANDS[command]}"} if command in COMMANDS else command_modules()
     missing = not_installed(words)
     if missing:
         parser.error(missing)

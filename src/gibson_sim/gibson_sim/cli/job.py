@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from gibson_sim.bags.folders import check_room
-from gibson_sim.bags.video import write_contact_sheet, write_video
 from gibson_sim.cli.environment import domain_of
 from gibson_sim.cli.parser import ExitCode
 from gibson_sim.cli.processes import NodeProcess, StopRequest
@@ -23,14 +22,6 @@ from gibson_sim.errors import ConfigError, GibsonSimError, RecordError
 from gibson_sim.reach import describe_reach
 from gibson_sim.standard.domain_lock import DomainLock
 from gibson_sim.standard.job_folder import LOADED, JobFolder
-
-
-def write_pictures(bag: Path, video: Path) -> list[Path]:
-    """Writes the video and, beside it, a contact sheet with the same name and ``.png``; returns both paths."""
-    sheet = video.with_suffix(".png")
-    write_video(bag, video)
-    write_contact_sheet(bag, sheet)
-    return [video, sheet]
 
 
 class Restarts:
@@ -235,6 +226,7 @@ class JobRun:
             self._code = self._code or ExitCode.ERROR
 
     def _write_pictures(self) -> None:
+        from gibson_sim.bags.video import write_pictures  # OpenCV and a video encoder with it
 
         assert self._job.bag is not None and self._job.video is not None
         for path in write_pictures(self._job.bag, self._job.video):

@@ -13,8 +13,8 @@ from dataclasses import Field, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from gibson_sim.cli.commands.params import allowed
 from gibson_sim.cli.names import check_names
-from gibson_sim.cli.params import allowed
 from gibson_sim.config import PhysicsConfig, RenderConfig
 from gibson_sim.errors import ConfigError, TextError
 from gibson_sim.quoting import quoted

@@ -26,8 +26,8 @@ def add_parser(subparsers: Any) -> None:
 @quiet()
 def _run(args: argparse.Namespace) -> ExitCode:
     from gibson_sim.bags.progress import progress_bar
-    from gibson_sim_tools.importing.fetch import fetch_scene
-    from gibson_sim_tools.importing.recipes import known_recipes, load_recipe
+    from gibson_sim_tools.importing.fetching.fetch import fetch_scene
+    from gibson_sim_tools.importing.fetching.recipes import known_recipes, load_recipe
 
     if not args.name:
         for name in known_recipes():

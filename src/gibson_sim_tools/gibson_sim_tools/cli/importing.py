@@ -53,7 +53,7 @@ def chosen(args: argparse.Namespace) -> Choices:
     Raises:
         ConfigError: the unit is unknown, or the axis is none.
     """
-    from gibson_sim_tools.importing.gravity import direction
+    from gibson_sim_tools.importing.checks.gravity import direction
     from gibson_sim_tools.importing.run import Choices
 
     axis: UpAxis | None = args.up_axis if args.up_axis in ("x", "y", "z") else None
@@ -67,7 +67,7 @@ def unit_m(text: str | None) -> float | None:
     Raises:
         ConfigError: the unit is unknown.
     """
-    from gibson_sim_tools.importing.gravity import UNITS
+    from gibson_sim_tools.importing.checks.gravity import UNITS
 
     if text is None:
         return None
@@ -87,7 +87,7 @@ def unit_m(text: str | None) -> float | None:
 @quiet()
 def _run(args: argparse.Namespace) -> ExitCode:
     # Loaded here: the other sub-commands need no meshes.
-    from gibson_sim_tools.importing.facts import scene_facts
+    from gibson_sim_tools.importing.checks.facts import scene_facts
     from gibson_sim_tools.importing.run import import_scene
 
     choices = chosen(args)

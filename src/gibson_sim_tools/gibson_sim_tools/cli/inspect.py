@@ -14,7 +14,7 @@ from gibson_sim_tools.cli.importing import unit_m
 
 if TYPE_CHECKING:
     from gibson_sim.types import Vec3
-    from gibson_sim_tools.importing.check import Report
+    from gibson_sim_tools.importing.checks.check import Report
 
 _MOST_ALIKE = 3
 
@@ -48,7 +48,7 @@ def add_parser(subparsers: Any) -> None:
 
 @quiet()
 def _report(scene: str) -> Report:
-    from gibson_sim_tools.importing.check import check_path
+    from gibson_sim_tools.importing.checks.check import check_path
     from gibson_sim_tools.importing.sources import Kind, identify
 
     path = Path(scene).expanduser()
@@ -87,7 +87,7 @@ def _check(args: argparse.Namespace) -> ExitCode:
     if not args.fix:
         _print(report, args.json)
         return ExitCode.OK if report.clean else ExitCode.ERROR
-    from gibson_sim_tools.importing.fix import Fix, fix_scene
+    from gibson_sim_tools.importing.checks.fix import Fix, fix_scene
 
     if not args.json:
         _print(report, False)
@@ -100,7 +100,7 @@ def _check(args: argparse.Namespace) -> ExitCode:
 
 
 def _up(text: str | None) -> Vec3 | None:
-    from gibson_sim_tools.importing.gravity import direction
+    from gibson_sim_tools.importing.checks.gravity import direction
 
     return None if text is None else direction(text)
 

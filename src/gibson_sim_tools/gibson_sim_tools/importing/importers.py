@@ -20,10 +20,10 @@ from gibson_sim.scenes.load import read_scene
 from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import CollisionSpec, LightSpec, SceneSpec
 from gibson_sim.types import Pose, Vec3
+from gibson_sim_tools.importing.checks.facts import UNTOLD_SUFFIXES
+from gibson_sim_tools.importing.checks.gravity import ON_ITS_SIDE_DEG, direction_text, guess_up, rotation_to_z
 from gibson_sim_tools.importing.document import BAKED_LIGHT, SIMPLIFIED, FloorPicture, ImportedObject, ImportedScene
-from gibson_sim_tools.importing.facts import UNTOLD_SUFFIXES
 from gibson_sim_tools.importing.floor_pictures import GIBSON_RESOLUTION
-from gibson_sim_tools.importing.gravity import ON_ITS_SIDE_DEG, direction_text, guess_up, rotation_to_z
 from gibson_sim_tools.importing.hm3d import labelled_faces_of_textures
 from gibson_sim_tools.importing.labels import LabelledFaces, class_name, habitat_classes, replica_classes, take_apart, transfer
 from gibson_sim_tools.importing.scans import is_scan

@@ -9,8 +9,8 @@ from pathlib import Path
 from gibson_sim.errors import SceneError
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import SceneSpec
-from gibson_sim_tools.importing.archives import only_folder, unpack
 from gibson_sim_tools.importing.document import ASSETS, ImportedScene, write_in_place, write_scene
+from gibson_sim_tools.importing.fetching.archives import only_folder, unpack
 from gibson_sim_tools.importing.importers import Choices, read_source
 from gibson_sim_tools.importing.sources import Kind, Source, identify
 

@@ -44,7 +44,8 @@ class Pile:
 
 
 Key = tuple[bool, int, int, Kind, bool, bool, bool, int]
-"""Moving, texture, maps, kind, unlit, colored, closed, link: the order of piles, so that those of one batch follow each other. What an appearance changes is
+"""Moving, texture, maps, kind, unlit, colored, closed, link: the order of piles, so that those of one batch follow each other.
+What an appearance changes is
 not in it: levels of detail and the order of drawing, and with them depth, labels and normals, must not depend on appearances."""
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gibson_sim_tools.making.blender.casters import caster
 from gibson_sim_tools.making.blender.charts import chart_extents, place_charts, place_corners
-from gibson_sim_tools.making.blender.furniture import build_piece
+from gibson_sim_tools.making.blender.furniture.catalogue import build_piece
 from gibson_sim_tools.making.blender.looks import UNTEXTURED
 from gibson_sim_tools.making.blender.shapes import F64, I64, placed
 from gibson_sim_tools.making.blender.shell import Thing, build_shell

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gibson_sim_tools.making.blender.furniture_living import WOODS, choose, legs
+from gibson_sim_tools.making.blender.furniture.living import WOODS, choose, legs
 from gibson_sim_tools.making.blender.looks import look, varied
 from gibson_sim_tools.making.blender.shapes import Solid, placed
 

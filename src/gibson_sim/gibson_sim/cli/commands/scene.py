@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from gibson_sim.cli.commands import scene_command_modules
+from gibson_sim.cli.registry import scene_command_modules
 
 
 def add_parser(subparsers: Any) -> None:

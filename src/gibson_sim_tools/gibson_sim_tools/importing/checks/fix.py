@@ -24,11 +24,11 @@ from gibson_sim.scenes.room_spec import RoomSpec
 from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Pose, Vec3
-from gibson_sim_tools.importing.check import MAX_SIDE, NEED_UPRIGHT, Report, check_path, left_out
+from gibson_sim_tools.importing.checks.check import MAX_SIDE, NEED_UPRIGHT, Report, check_path, left_out
+from gibson_sim_tools.importing.checks.facts import former_up, is_told
+from gibson_sim_tools.importing.checks.faults import find_faults
+from gibson_sim_tools.importing.checks.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, guess_up, level_near, rotation_to_z
 from gibson_sim_tools.importing.document import SIMPLIFIED, ImportedObject, ImportedScene, write_scene
-from gibson_sim_tools.importing.facts import former_up, is_told
-from gibson_sim_tools.importing.faults import find_faults
-from gibson_sim_tools.importing.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, guess_up, level_near, rotation_to_z
 from gibson_sim_tools.importing.importers import UNSEEN, assigned, light_document
 from gibson_sim_tools.importing.labels import some_triangles
 

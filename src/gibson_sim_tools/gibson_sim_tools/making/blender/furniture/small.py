@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gibson_sim_tools.making.blender.furniture_living import choose
+from gibson_sim_tools.making.blender.furniture.living import choose
 from gibson_sim_tools.making.blender.looks import look
 from gibson_sim_tools.making.blender.shapes import Solid, Surface, placed
 

@@ -19,7 +19,7 @@ from gibson_sim.scenes.load import DESCRIPTION
 from gibson_sim.scenes.scene_meshes import scene_roots
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim.types import Vec3
-from gibson_sim_tools.importing.gravity import ON_ITS_SIDE_DEG, UpGuess, direction_text, guess_unit, guess_up
+from gibson_sim_tools.importing.checks.gravity import ON_ITS_SIDE_DEG, UpGuess, direction_text, guess_unit, guess_up
 
 F64 = NDArray[np.float64]
 _MOST_LISTED = 12

@@ -47,4 +47,4 @@ def not_installed(words: Sequence[str]) -> str:
 
 def _with_added(ours: Mapping[str, str], group: str) -> dict[str, str]:
     added = {point.name: point.value for point in entry_points(group=group)}
-    return dict(sorted((added | {name: f"gibson_sim.cli.{module}" for name, module in ours.items()}).items()))
+    return dict(sorted((added | {name: f"gibson_sim.cli.commands.{module}" for name, module in ours.items()}).items()))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gibson_sim_tools.making.blender.furniture_kitchen import tap
-from gibson_sim_tools.making.blender.furniture_living import choose, fronts
+from gibson_sim_tools.making.blender.furniture.kitchen import tap
+from gibson_sim_tools.making.blender.furniture.living import choose, fronts
 from gibson_sim_tools.making.blender.looks import look
 from gibson_sim_tools.making.blender.shapes import Solid, placed
 

@@ -11,24 +11,17 @@ from collections.abc import Callable
 import numpy as np
 
 from gibson_sim.types import Vec3
-from gibson_sim_tools.making.blender import (
-    furniture_bath,
-    furniture_bed,
-    furniture_kitchen,
-    furniture_living,
-    furniture_small,
-    furniture_work,
-)
+from gibson_sim_tools.making.blender.furniture import bath, bed, kitchen, living, small, work
 from gibson_sim_tools.making.blender.shapes import Solid
 
 Builder = Callable[[Solid, float, float, float], None]
 BUILDERS: dict[str, Builder] = {
-    **furniture_living.BUILDERS,
-    **furniture_kitchen.BUILDERS,
-    **furniture_bath.BUILDERS,
-    **furniture_bed.BUILDERS,
-    **furniture_work.BUILDERS,
-    **furniture_small.BUILDERS,
+    **living.BUILDERS,
+    **kitchen.BUILDERS,
+    **bath.BUILDERS,
+    **bed.BUILDERS,
+    **work.BUILDERS,
+    **small.BUILDERS,
 }
 
 

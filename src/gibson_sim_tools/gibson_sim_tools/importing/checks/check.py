@@ -18,11 +18,11 @@ from gibson_sim.quoting import quoted
 from gibson_sim.scenes.load import load_scene
 from gibson_sim.scenes.spec import SceneSpec
 from gibson_sim_tools.importing.carried import is_begun, missing, out_of_date
+from gibson_sim_tools.importing.checks.facts import Geometry, SceneFacts, former_up, is_told, scene_facts, scene_geometry
+from gibson_sim_tools.importing.checks.faults import MeshFaults, find_faults
+from gibson_sim_tools.importing.checks.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, UNITS, UpGuess, direction_text, guess_up
+from gibson_sim_tools.importing.checks.islands import islands
 from gibson_sim_tools.importing.document import ASSETS
-from gibson_sim_tools.importing.facts import Geometry, SceneFacts, former_up, is_told, scene_facts, scene_geometry
-from gibson_sim_tools.importing.faults import MeshFaults, find_faults
-from gibson_sim_tools.importing.gravity import ALIGNED_DEG, ON_ITS_SIDE_DEG, UNITS, UpGuess, direction_text, guess_up
-from gibson_sim_tools.importing.islands import islands
 from gibson_sim_tools.importing.left_out import read_left_out
 from gibson_sim_tools.importing.scans import SCAN_FROM, SCAN_SHARE
 

@@ -8,9 +8,8 @@ from typing import Any
 
 from gibson_sim.bags.check import check_bag
 from gibson_sim.bags.film import write_film, write_film_strip
-from gibson_sim.bags.video import write_contact_sheet
+from gibson_sim.bags.video import write_contact_sheet, write_pictures
 from gibson_sim.bags.writer import repair
-from gibson_sim.cli.job import write_pictures
 from gibson_sim.errors import RecordError
 from gibson_sim.picture_files import SUFFIXES
 

@@ -9,9 +9,9 @@ from pathlib import Path
 from gibson_sim.errors import SceneError
 from gibson_sim.resources import cache_folder
 from gibson_sim.writing import write_file
-from gibson_sim_tools.importing.archives import needs_space, only_folder, unpack
-from gibson_sim_tools.importing.download import download
-from gibson_sim_tools.importing.recipes import Recipe
+from gibson_sim_tools.importing.fetching.archives import needs_space, only_folder, unpack
+from gibson_sim_tools.importing.fetching.download import download
+from gibson_sim_tools.importing.fetching.recipes import Recipe
 from gibson_sim_tools.importing.run import Choices, Imported, import_scene
 
 _SPACE = 3

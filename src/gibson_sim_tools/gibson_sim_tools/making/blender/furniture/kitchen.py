@@ -6,8 +6,8 @@ import itertools
 
 import numpy as np
 
-from gibson_sim_tools.making.blender.furniture_living import bar, choose, fronts
-from gibson_sim_tools.making.blender.goods import goods
+from gibson_sim_tools.making.blender.furniture.goods import goods
+from gibson_sim_tools.making.blender.furniture.living import bar, choose, fronts
 from gibson_sim_tools.making.blender.looks import look
 from gibson_sim_tools.making.blender.shapes import Solid, Surface
 
