@@ -40,7 +40,7 @@ MOST_BYTES = 8_000_000
 
 @pytest.fixture(scope="module")
 def folder() -> Path:
-    return Path(__file__).resolve().parents[3] / "scenes" / "objects"
+    return Path(__file__).resolve().parents[4] / "scenes" / "objects"
 
 
 @pytest.fixture(scope="module")

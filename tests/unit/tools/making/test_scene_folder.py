@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import gibson_sim
 from gibson_sim.errors import SceneError
 from gibson_sim.formats.load_mesh import load_mesh
 from gibson_sim.render.draw.environment import irradiance, load_environment
 from gibson_sim.scenes.load import load_scene
+from gibson_sim_tools import package_path
 from gibson_sim_tools.making.baking import check_blender
 from gibson_sim_tools.making.blender.assembly import assemble
 from gibson_sim_tools.making.blender.charts import BORDER_PX, place_charts
@@ -316,7 +316,7 @@ def test_blender_bakes_two_rooms(tmp_path: Path) -> None:
     if importlib.util.find_spec("bpy") is None:
         pytest.skip("SKIPPED: no Blender in this Python: pip install bpy")
     write_plan(tmp_path / "plan.json", two_rooms(), Quality(1, 128, 1))
-    path = str(Path(gibson_sim.__file__).parents[1])
+    path = package_path()
     command = [sys.executable, "-m", "gibson_sim_tools.making.blender", str(tmp_path / "plan.json"), str(tmp_path)]
     subprocess.run(command, check=True, env={**os.environ, "PYTHONPATH": path}, capture_output=True)
     light = np.load(tmp_path / "light_0.npy").astype(float)
